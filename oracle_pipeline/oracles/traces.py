@@ -21,8 +21,8 @@ from oracle_pipeline.features.engine.plugin import (
     Request,
     Series,
     Window,
+    sole_series,
 )
-from oracle_pipeline.features.geometry.scan_geometry import the_topic
 from oracle_pipeline.features.motion.velocity import keep as keep_command
 from oracle_pipeline.features.navigation.goals import GOAL_TOPICS, goals_so_far
 from oracle_pipeline.robots.robot import Robot
@@ -280,7 +280,7 @@ def _logged(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
 
 def _one(window: Window, key: str) -> Series | None:
     """Return the values of a role that only one topic has."""
-    return the_topic(window.topics.get(key, {}))
+    return sole_series(window.topics.get(key, {}))
 
 
 def _first(window: Window, key: str) -> Series | None:

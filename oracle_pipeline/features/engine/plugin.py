@@ -173,6 +173,11 @@ class Series(NamedTuple):
     values: NDArray[Any]  # shape (n, ...)
 
 
+def sole_series(topics: Mapping[str, Series]) -> Series | None:
+    """Return the messages of a role that a robot has one topic of; None if it has none."""
+    return next(iter(topics.values()), None)
+
+
 @dataclass(frozen=True, slots=True)
 class Window:
     """A span of a recording for one plugin, without label, mode and ground truth.

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.geometry.planar_pose import PlanarPose
 from oracle_pipeline.features.geometry.polar import rays
-from oracle_pipeline.features.geometry.scan_geometry import Planar, SensorMount
 from oracle_pipeline.features.geometry.scans import (
     Floats,
     Ints,
@@ -21,6 +21,7 @@ from oracle_pipeline.features.geometry.scans import (
     Scans,
     in_blocks,
 )
+from oracle_pipeline.features.geometry.transform_tree import SensorMount
 
 SPACING_S = 0.35  # least time between two matched scans
 _LONGEST_S = 1.0  # most time between them
@@ -65,10 +66,10 @@ def steps(scans: RecordedScans | Scans, mount: SensorMount) -> Steps:
             scans.rays,
             lambda part: (_matched(scans.rows(before[part]), scans.rows(after[part])),),
         )
-        seen = Planar(found[:, 0] + 1j * found[:, 1], np.exp(1j * found[:, 2]))
+        seen = PlanarPose(found[:, 0] + 1j * found[:, 1], np.exp(1j * found[:, 2]))
         moved = mount.pose.compose(seen).compose(mount.pose.inverse())
-        turn = np.angle(moved.turn)
-        shift = moved.shift * along_arc(turn)
+        turn = np.angle(moved.rotation)
+        shift = moved.translation * along_arc(turn)
     return Steps(scans.stamps_s[before], scans.stamps_s[after], shift, turn)
 
 

@@ -20,7 +20,8 @@ from oracle_pipeline.features.engine.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.geometry.scan_geometry import (
+from oracle_pipeline.features.geometry.scan_projection import project
+from oracle_pipeline.features.geometry.scanner_setup import (
     SETUP_TOPICS,
     ScannerSetup,
     scanner_setup,
@@ -57,10 +58,10 @@ def _unmarked(
     rows = np.searchsorted(scans.times_s, times_s, side="right") - 1
     seen = np.flatnonzero(rows >= 0)
     rows = rows[seen]
-    placed = setup.placed(setup.mounts[topic], scans.stamps_s[rows])
+    placed = setup.poses(setup.mounts[topic], scans.stamps_s[rows])
 
     def compared(part: slice) -> tuple[Floats]:
-        returns = placed.at(part).returns(scans.rows(rows[part]))
+        returns = project(scans.rows(rows[part]), placed.at(part))
         both = zip(grids[seen[part]], returns, strict=True)
         return (np.array([unmarked(*each) for each in both], dtype=np.float64),)
 

@@ -23,21 +23,22 @@ from oracle_pipeline.features.engine.plugin import (
     Values,
     Window,
     hookimpl,
+    sole_series,
 )
 from oracle_pipeline.features.geometry.clearance import clearance
-from oracle_pipeline.features.geometry.scan_geometry import (
-    CELL_M,
+from oracle_pipeline.features.geometry.grid_hits import CELL_M, MOST_HITS, HitCounter, Hits
+from oracle_pipeline.features.geometry.odometry_path import OdometryPath
+from oracle_pipeline.features.geometry.planar_pose import PlanarPose, PosePath
+from oracle_pipeline.features.geometry.scan_agreement import (
     CLOSER_M,
-    MOST_HITS,
-    SETUP_TOPICS,
-    HitCounter,
-    Hits,
-    Planar,
-    ScannerSetup,
     agreement,
     contradicted_shares,
+)
+from oracle_pipeline.features.geometry.scan_projection import project
+from oracle_pipeline.features.geometry.scanner_setup import (
+    SETUP_TOPICS,
+    ScannerSetup,
     scanner_setup,
-    the_topic,
 )
 from oracle_pipeline.features.geometry.scans import Bools, Floats, Ints, Points, in_blocks
 from oracle_pipeline.features.statistics.reduction import largest, quantile, row_medians, within
@@ -78,7 +79,7 @@ _SHORTEST_STEP = 0.35
 class Map:
     """An occupancy grid to cast rays through."""
 
-    pose: Planar  # of the outer corner of cell (0, 0), in the map frame
+    pose: PlanarPose  # of the outer corner of cell (0, 0), in the map frame
     resolution: float  # edge of a cell [m]
     clearance: NDArray[np.float32]  # to the nearest solid or unknown cell, shape (rows, columns)
     solid: NDArray[np.bool_]
@@ -105,7 +106,7 @@ class Map:
         """
         inverse = self.pose.inverse()
         start = inverse.apply(origins) / self.resolution + (1.0 + 1.0j)  # the padding
-        start, step = map(np.array, np.broadcast_arrays(start, inverse.turn * directions))
+        start, step = map(np.array, np.broadcast_arrays(start, inverse.rotate(directions)))
         return _march(start, step, self.clearance, self.solid) * self.resolution
 
 
@@ -144,7 +145,7 @@ def _march(start: Points, step: Points, clearance: NDArray[np.float32], solid: B
 class MapGrid(NamedTuple):
     """The part of a ``nav_msgs/msg/OccupancyGrid`` that is kept."""
 
-    pose: Planar  # of the outer corner of cell (0, 0)
+    pose: PlanarPose  # of the outer corner of cell (0, 0)
     resolution: float  # [m]
     cells: NDArray[np.int8]  # shape (rows, columns), 0 free to 100 solid, -1 unknown
 
@@ -161,14 +162,14 @@ class _Consistency:
 
 def prepare(window: Window) -> dict[str, _Consistency] | Missing:
     """Compare every scanner with the map, over the whole recording."""
-    grids, poses = the_topic(window.topics["map"]), the_topic(window.topics["poses"])
+    grids, poses = sole_series(window.topics["map"]), sole_series(window.topics["poses"])
     setup = scanner_setup(window)
     if grids is None or poses is None:
         return Missing("no map" if grids is None else "no pose of localisation")
     if setup.motion is None:
         return Missing("no odometry")
     world = Map.of(grids.values[-1])
-    correction = _Correction(poses, setup)
+    correction = _correction(poses, setup.motion)
     return {topic: _compared_with_map(world, correction, setup, topic) for topic in setup.mounts}
 
 
@@ -201,26 +202,16 @@ def keep_grids(messages: Any) -> list[MapGrid]:
         zip(*(column.tolist() for column in columns), strict=True), messages.data, strict=True
     ):
         x, y, yaw = pose
-        planar = Planar(np.asarray(complex(x, y)), np.asarray(np.exp(1j * yaw)))
+        planar = PlanarPose(np.asarray(complex(x, y)), np.asarray(np.exp(1j * yaw)))
         grids.append(MapGrid(planar, edge, data.reshape(rows, width)))
     return grids
 
 
-class _Correction:
-    """Pose of the odometry frame in the map from localisation, interpolated between poses."""
-
-    def __init__(self, poses: Series, setup: ScannerSetup) -> None:
-        assert setup.motion is not None  # noqa: S101 -- checked before
-        stamps_s, x, y, yaw = np.array(sorted(poses.values.tolist())).T
-        believed = Planar(x + 1j * y, np.exp(1j * yaw))
-        pose = believed.compose(setup.motion.base(stamps_s).inverse())
-        self._stamps_s = stamps_s
-        self._columns = pose.shift.real, pose.shift.imag, np.unwrap(np.angle(pose.turn))
-
-    def at(self, stamps_s: Floats) -> Planar:
-        """Return the pose of the odometry frame in the map at each stamp."""
-        x, y, yaw = (np.interp(stamps_s, self._stamps_s, column) for column in self._columns)
-        return Planar(x + 1j * y, np.exp(1j * yaw))
+def _correction(poses: Series, motion: OdometryPath) -> PosePath:
+    """Return the pose of the odometry frame in the map from localisation."""
+    stamps_s, *believed = np.array(sorted(poses.values.tolist())).T
+    pose = PlanarPose.of(*believed).compose(motion.base(stamps_s).inverse())
+    return PosePath.through(stamps_s, pose)
 
 
 def keep_believed(messages: Any) -> tuple[Floats, Floats, Floats, Floats]:
@@ -239,23 +230,23 @@ def register_features() -> list[FeaturePlugin]:
 
 
 def _compared_with_map(
-    world: Map, correction: _Correction, setup: ScannerSetup, topic: str
+    world: Map, correction: PosePath, setup: ScannerSetup, topic: str
 ) -> _Consistency:
     scans = setup.scanners[topic]
     rows = _spaced(scans.stamps_s)
     stamps_s, times_s = scans.stamps_s[rows], scans.times_s[rows]
-    placed = correction.at(stamps_s).compose(setup.placed(setup.mounts[topic], stamps_s))
+    placed = correction.at(stamps_s).compose(setup.poses(setup.mounts[topic], stamps_s))
 
     counter = HitCounter(MOST_HITS // len(setup.mounts))
 
     def compared(part: slice) -> tuple[Floats, Floats, Floats]:
         some, here = scans.rows(rows[part]), placed.at(part)
-        columns, rays = here.columns(), some.rays_along()
-        directions = columns.turn * (rays.conj() if placed.flipped else rays)
-        charted = replace(some, range_max=np.inf, ranges=world.cast(columns.shift, directions))
+        columns = here.columns()
+        ranges = world.cast(columns.translation, columns.rotate(some.rays_along()))
+        charted = replace(some, range_max=np.inf, ranges=ranges)
         points = some.points()
         returned = agreement(points, charted)
-        counter.add(here.returns(some), returned.contradicted, part.start)
+        counter.add(project(some, here), returned.contradicted, part.start)
         return (
             row_medians(returned.residual),
             returned.contradicted_share(),

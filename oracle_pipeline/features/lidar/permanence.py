@@ -23,13 +23,12 @@ from oracle_pipeline.features.engine.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.geometry.scan_geometry import (
-    CLOSER_M,
+from oracle_pipeline.features.geometry.planar_pose import PlanarPose
+from oracle_pipeline.features.geometry.scan_agreement import CLOSER_M, contradicted_shares
+from oracle_pipeline.features.geometry.scan_projection import project
+from oracle_pipeline.features.geometry.scanner_setup import (
     SETUP_TOPICS,
-    Planar,
     ScannerSetup,
-    contradicted_shares,
-    nearest,
     scanner_setup,
 )
 from oracle_pipeline.features.geometry.scans import (
@@ -40,8 +39,8 @@ from oracle_pipeline.features.geometry.scans import (
     RecordedScans,
     in_blocks,
 )
-from oracle_pipeline.features.statistics.even_times import even_times
 from oracle_pipeline.features.statistics.reduction import largest, mean, quantile
+from oracle_pipeline.features.statistics.times import even_times, nearest
 
 _EARLIER_S = 1.0  # between two compared scans
 _LATER_S = 1.0  # least time until the robot drives across a return
@@ -140,7 +139,7 @@ def register_features() -> list[FeaturePlugin]:
 
 def _seen(setup: ScannerSetup, topic: str, path: "_Path") -> Seen:
     scans, mount = setup.scanners[topic], setup.mounts[topic]
-    placed = setup.placed(mount, scans.stamps_s)
+    placed = setup.poses(mount, scans.stamps_s)
     now, before = _apart(scans.stamps_s, _EARLIER_S)
     moved = placed.at(before).inverse().compose(placed.at(now))
     back = moved.inverse()
@@ -148,8 +147,8 @@ def _seen(setup: ScannerSetup, topic: str, path: "_Path") -> Seen:
     def compared(part: slice) -> tuple[Floats, Floats]:
         later, earlier = scans.rows(now[part]), scans.rows(before[part])
         return (
-            contradicted_shares(moved.at(part).returns(later), earlier),
-            contradicted_shares(back.at(part).returns(earlier), later),
+            contradicted_shares(project(later, moved.at(part)), earlier),
+            contradicted_shares(project(earlier, back.at(part)), later),
         )
 
     appeared, vanished = in_blocks(len(now), scans.rays, compared)
@@ -196,7 +195,7 @@ class _Path:
         stamps_s = np.concatenate([scans.stamps_s for scans in setup.scanners.values()])
         end_s = stamps_s.max() + _PATH_STEP_S
         steps_s = even_times(stamps_s.min(), end_s, _PATH_STEP_S, stamps_s)
-        places = setup.motion.base(steps_s).shift
+        places = setup.motion.base(steps_s).translation
         near = (np.abs(places.real) < _FARTHEST) & (np.abs(places.imag) < _FARTHEST)  # no NaN
         places, steps_s = places[near], steps_s[near]
         corner = complex(places.real.min(initial=np.inf), places.imag.min(initial=np.inf))
@@ -248,7 +247,7 @@ def _place(cell: int, cells: Ints) -> int:
     return place
 
 
-def _in_world(scans: RecordedScans, placed: Planar, path: _Path) -> tuple[Series, Floats]:
+def _in_world(scans: RecordedScans, placed: PlanarPose, path: _Path) -> tuple[Series, Floats]:
     """Return the distance that the fastest compact object moved between scans [m].
 
     Also return, for all scans, whether the robot drives across a return later, 1 or 0.
@@ -258,7 +257,7 @@ def _in_world(scans: RecordedScans, placed: Planar, path: _Path) -> tuple[Series
 
     def seen(part: slice) -> tuple[NDArray[Any], ...]:
         some = scans.rows(part)
-        world = placed.at(part).returns(some)
+        world = project(some, placed.at(part))
         return *_centres(some.ranges, world, closed[part]), path.crossed(world, some.stamps_s)
 
     counts, centres, across = in_blocks(len(scans.times_s), scans.rays, seen)

@@ -24,20 +24,16 @@ from oracle_pipeline.features.engine.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.geometry.scan_geometry import (
-    CELL_M,
-    CLOSER_M,
-    MOST_HITS,
+from oracle_pipeline.features.geometry.grid_hits import CELL_M, MOST_HITS, HitCounter, Hits
+from oracle_pipeline.features.geometry.scan_agreement import CLOSER_M, agreement
+from oracle_pipeline.features.geometry.scan_projection import project
+from oracle_pipeline.features.geometry.scanner_setup import (
     SETUP_TOPICS,
-    HitCounter,
-    Hits,
     ScannerSetup,
-    SensorMount,
-    agreement,
-    nearest,
     scanner_setup,
 )
 from oracle_pipeline.features.geometry.scans import Floats, Ints, in_blocks
+from oracle_pipeline.features.geometry.transform_tree import SensorMount
 from oracle_pipeline.features.statistics.reduction import (
     largest,
     mean,
@@ -45,6 +41,7 @@ from oracle_pipeline.features.statistics.reduction import (
     row_medians,
     within,
 )
+from oracle_pipeline.features.statistics.times import nearest
 
 SCANNER_FEATURES = (
     Feature(
@@ -130,7 +127,7 @@ def prepare_ranges(window: Window) -> dict[str, Series] | Missing:
     """Return each range minus the nearest return in its cone [m], by pair of topics."""
     setup = scanner_setup(window)
     ranges = window.topics["ranges"]
-    mounts = {topic: setup.frames.mount(series.values[0][1]) for topic, series in ranges.items()}
+    mounts = {topic: setup.tree.mount(series.values[0][1]) for topic, series in ranges.items()}
     return {
         f"{topic} against {scanner}": _beyond(setup, ranges[topic], mount, scanner)
         for (topic, mount), scanner in product(mounts.items(), setup.mounts)
@@ -183,17 +180,17 @@ def register_features() -> list[FeaturePlugin]:
 def _compared_with(setup: ScannerSetup, suspect: str, other: str, most_hits: int) -> _Comparison:
     scans, reference = setup.scanners[suspect], setup.scanners[other]
     rows, reference_rows = _simultaneous(scans.stamps_s, reference.stamps_s)
-    placed = setup.placed(setup.mounts[suspect], scans.stamps_s[rows])
-    reference_placed = setup.placed(setup.mounts[other], reference.stamps_s[reference_rows])
+    placed = setup.poses(setup.mounts[suspect], scans.stamps_s[rows])
+    reference_placed = setup.poses(setup.mounts[other], reference.stamps_s[reference_rows])
     in_reference = reference_placed.inverse().compose(placed)
 
     counter = HitCounter(most_hits)
 
     def compared(part: slice) -> tuple[Floats, Floats]:
         some = scans.rows(rows[part])
-        seen = in_reference.at(part).returns(some)
+        seen = project(some, in_reference.at(part))
         agreed = agreement(seen, reference.rows(reference_rows[part]))
-        counter.add(placed.at(part).returns(some), agreed.contradicted, part.start)
+        counter.add(project(some, placed.at(part)), agreed.contradicted, part.start)
         return row_medians(agreed.residual), agreed.contradicted_share()
 
     residual, contradicted = in_blocks(len(rows), scans.rays, compared)
@@ -210,12 +207,12 @@ def _beyond(setup: ScannerSetup, ranges: Series, mount: SensorMount, scanner: st
     scans = setup.scanners[scanner]
     rows, scan_rows = _simultaneous(stamps_s, scans.stamps_s)
     view, low, high, measured = (column[rows] for column in columns)
-    sensor = setup.placed(mount, stamps_s[rows])
-    placed = setup.placed(setup.mounts[scanner], scans.stamps_s[scan_rows])
+    sensor = setup.poses(mount, stamps_s[rows])
+    placed = setup.poses(setup.mounts[scanner], scans.stamps_s[scan_rows])
     in_sensor = sensor.inverse().compose(placed)
 
     def nearest_in_cone(part: slice) -> tuple[Floats]:
-        points = in_sensor.at(part).returns(scans.rows(scan_rows[part]))
+        points = project(scans.rows(scan_rows[part]), in_sensor.at(part))
         in_cone = np.abs(np.angle(points)) <= view[part, np.newaxis] / 2.0
         return (np.where(in_cone, np.abs(points), np.inf).min(axis=1),)
 

@@ -17,11 +17,11 @@ from oracle_pipeline.features.engine.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.geometry.scan_geometry import (
-    CLOSER_M,
+from oracle_pipeline.features.geometry.scan_agreement import CLOSER_M, agreement
+from oracle_pipeline.features.geometry.scan_projection import project
+from oracle_pipeline.features.geometry.scanner_setup import (
     SETUP_TOPICS,
     ScannerSetup,
-    agreement,
     scanner_setup,
 )
 from oracle_pipeline.features.geometry.scans import Floats, RecordedScans, in_blocks
@@ -114,11 +114,11 @@ def _scanner(setup: ScannerSetup, topic: str, scans: RecordedScans) -> _Scanner:
     if setup.motion is None or mount is None:
         return _Scanner(rough, None, None)
     after = np.flatnonzero(np.abs(np.diff(scans.stamps_s)) <= _LONGEST_GAP_S) + 1
-    placed = setup.placed(mount, scans.stamps_s)
+    placed = setup.poses(mount, scans.stamps_s)
     moved = placed.at(after - 1).inverse().compose(placed.at(after))
 
     def compared(part: slice) -> tuple[Floats, Floats]:
-        in_scan_before = moved.at(part).returns(scans.rows(after[part]))
+        in_scan_before = project(scans.rows(after[part]), moved.at(part))
         agreed = agreement(in_scan_before, scans.rows(after[part] - 1))
         return row_medians(agreed.residual), whiteness(agreed.signed)
 

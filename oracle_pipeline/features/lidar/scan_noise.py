@@ -20,8 +20,8 @@ from oracle_pipeline.features.engine.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.geometry.scan_geometry import (
-    CLOSER_M,
+from oracle_pipeline.features.geometry.scan_agreement import CLOSER_M
+from oracle_pipeline.features.geometry.scanner_setup import (
     SETUP_TOPICS,
     ScannerSetup,
     scanner_setup,
@@ -206,9 +206,9 @@ def _standing(setup: ScannerSetup, topic: str, scans: RecordedScans) -> tuple[Se
     mount = setup.mounts.get(topic)
     if setup.motion is None or mount is None or len(scans.stamps_s) < 2:
         return nothing, nothing
-    placed = setup.placed(mount, scans.stamps_s)
-    moved_m = np.abs(np.diff(placed.shift))
-    turned = np.abs(np.angle(placed.turn[1:] / placed.turn[:-1]))
+    placed = setup.poses(mount, scans.stamps_s)
+    moved_m = np.abs(np.diff(placed.translation))
+    turned = np.abs(np.angle(placed.rotation[1:] / placed.rotation[:-1]))
     near = np.abs(np.diff(scans.stamps_s)) <= _NEXT_S
     after = np.flatnonzero((moved_m < _STILL_M) & (turned < _STILL_RAD) & near) + 1
     deviation, share = in_blocks(

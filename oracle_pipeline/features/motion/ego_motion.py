@@ -15,10 +15,11 @@ import numpy as np
 
 from oracle_pipeline.features.engine.common_fields import frame_names, header_stamps_s, poses_of
 from oracle_pipeline.features.engine.plugin import Request, Series
-from oracle_pipeline.features.geometry.scan_geometry import SETUP_TOPICS, Planar, ScannerSetup
+from oracle_pipeline.features.geometry.planar_pose import PlanarPose
 from oracle_pipeline.features.geometry.scan_matching import Steps, along_arc, steps
+from oracle_pipeline.features.geometry.scanner_setup import SETUP_TOPICS, ScannerSetup
 from oracle_pipeline.features.geometry.scans import SCANS, Floats, Points
-from oracle_pipeline.features.statistics.even_times import even_spans
+from oracle_pipeline.features.statistics.times import even_spans
 from oracle_pipeline.robots import roles
 from oracle_pipeline.robots.roles import IMU, TRANSFORMS
 
@@ -83,7 +84,7 @@ def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> 
     poses = [_posed(topic, series) for topic, series in _long(driven)]
     poses = poses or list(_transformed(topics["transforms"]))
     mounts = {
-        topic: setup.frames.mount(series.values[0])
+        topic: setup.tree.mount(series.values[0])
         for topic, series in topics["inertial_frames"].items()
     }
     units = [(t, s, m) for t, s in _long(inertial) if (m := mounts[t].pose) is not None]
@@ -208,7 +209,7 @@ class Edge(NamedTuple):
 
     times_s: Floats
     stamps_s: Floats
-    pose: Planar  # of the child in the parent
+    pose: PlanarPose  # of the child in the parent
 
 
 def edges(topics: Mapping[str, Series]) -> dict[tuple[str, str], Edge]:
@@ -229,7 +230,7 @@ def edges(topics: Mapping[str, Series]) -> dict[tuple[str, str], Edge]:
         rows = np.flatnonzero(of == i)
         rows = rows[np.argsort(columns[rows, 0], kind="stable")]
         stamps_s, x, y, *q = columns[rows].T
-        pose = Planar(x + 1j * y, np.exp(1j * yaw_of(*q)))
+        pose = PlanarPose(x + 1j * y, np.exp(1j * yaw_of(*q)))
         found[frames] = Edge(received_s[rows], stamps_s, pose)
     return found
 
@@ -343,13 +344,13 @@ def _transformed(topics: Mapping[str, Series]) -> Iterator[Track]:
     moving = {
         frames: edge
         for frames, edge in edges(topics).items()
-        if len(edge.times_s) > 1 and np.abs(np.diff(edge.pose.shift)).max() > 0.0
+        if len(edge.times_s) > 1 and np.abs(np.diff(edge.pose.translation)).max() > 0.0
     }
     if moving:
         parent, child = max(moving, key=lambda frames: len(moving[frames].times_s))
         times_s, stamps_s, pose = moving[parent, child]
-        yaw = np.unwrap(np.angle(pose.turn))
-        yield _of_poses(f"{parent} -> {child}", times_s, stamps_s, pose.shift, yaw)
+        yaw = np.unwrap(np.angle(pose.rotation))
+        yield _of_poses(f"{parent} -> {child}", times_s, stamps_s, pose.translation, yaw)
 
 
 def _twisted(topic: str, series: Series) -> Track:
@@ -362,9 +363,9 @@ def _twisted(topic: str, series: Series) -> Track:
     )  # fmt: skip
 
 
-def _gyro(topic: str, series: Series, mount: Planar) -> Track:
+def _gyro(topic: str, series: Series, mount: PlanarPose) -> Track:
     stamps_s, values = _by_stamp(series)
-    rate = -values[:, 7] if mount.flipped else values[:, 7]
+    rate = -values[:, 7] if mount.mirrored else values[:, 7]
     return Track(topic, series.times_s, stamps_s, {TURN: _complex(_summed(stamps_s, rate))})
 
 
@@ -373,19 +374,19 @@ def _has_orientation(series: Series) -> bool:
     return bool(variance != -1.0 and np.ptp(q, axis=0).max() > 0.0)
 
 
-def _up(series: Series, mount: Planar) -> Floats:
+def _up(series: Series, mount: PlanarPose) -> Floats:
     """Return the vertical in a unit's frame, shape (n, 3); from its mount without orientation."""
     x, y, z, w = series.values[:, 1:5].T
     up = 2.0 * np.column_stack([x * z - w * y, y * z + w * x, 0.5 - x * x - y * y])
     told = (series.values[:, 11] != -1.0) & (x * x + y * y + z * z + w * w > 0.5)
-    level = np.array([0.0, 0.0, -1.0 if mount.flipped else 1.0])
+    level = np.array([0.0, 0.0, -1.0 if mount.mirrored else 1.0])
     return np.where(told[:, None], up, level)
 
 
-def _oriented(topic: str, series: Series, mount: Planar) -> Track:
+def _oriented(topic: str, series: Series, mount: PlanarPose) -> Track:
     stamps_s, values = _by_stamp(series)
     yaw = np.unwrap(yaw_of(*values[:, 1:5].T))
-    return Track(topic, series.times_s, stamps_s, {TURN: _complex(-yaw if mount.flipped else yaw)})
+    return Track(topic, series.times_s, stamps_s, {TURN: _complex(-yaw if mount.mirrored else yaw)})
 
 
 def _commanded(topic: str, series: Series, clock: Track) -> Track:

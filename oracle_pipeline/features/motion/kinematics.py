@@ -26,8 +26,8 @@ from oracle_pipeline.features.engine.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.geometry.scan_geometry import scanner_setup
 from oracle_pipeline.features.geometry.scan_matching import Steps
+from oracle_pipeline.features.geometry.scanner_setup import scanner_setup
 from oracle_pipeline.features.geometry.scans import Bools, Floats, Points
 from oracle_pipeline.features.motion.ego_motion import (
     ANGLES,
@@ -50,13 +50,13 @@ from oracle_pipeline.features.motion.ego_motion import (
     slope,
     sources,
 )
-from oracle_pipeline.features.statistics.even_times import even_spans
 from oracle_pipeline.features.statistics.reduction import (
     MAD_TO_DEVIATION,
     largest,
     quantile,
     within,
 )
+from oracle_pipeline.features.statistics.times import even_spans
 
 
 class Pair(NamedTuple):

@@ -18,15 +18,12 @@ from oracle_pipeline.features.engine.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.geometry.scan_geometry import (
-    Frames,
-    Motion,
-    Planar,
-    keep_odometry,
-)
+from oracle_pipeline.features.geometry.odometry_path import ODOMETRY_POSES, OdometryPath
+from oracle_pipeline.features.geometry.planar_pose import PlanarPose
 from oracle_pipeline.features.geometry.scans import Floats
+from oracle_pipeline.features.geometry.transform_tree import TransformTree
 from oracle_pipeline.features.statistics.reduction import quantile
-from oracle_pipeline.robots.roles import ODOMETRY, PLAN, POSE
+from oracle_pipeline.robots.roles import PLAN, POSE
 
 BELIEF_FEATURES = (
     Feature(
@@ -77,15 +74,15 @@ def prepare_corrections(window: Window) -> tuple[Series, Series]:
     (poses,) = window.topics["poses"].values()
     (odometry,) = window.topics["odometry"].values()
     stamps_s, x, y, yaw, *_ = poses.values.T
-    believed = Planar(x + 1j * y, np.exp(1j * yaw))
-    driven = Motion(odometry, Frames({})).base(stamps_s)
+    believed = PlanarPose.of(x, y, yaw)
+    driven = OdometryPath(odometry, TransformTree({})).base(stamps_s)
     before, now = slice(None, -1), slice(1, None)
     moved = driven.at(before).inverse().compose(driven.at(now))
     predicted = believed.at(before).compose(moved)
     times_s = poses.times_s[1:]
     return (
-        Series(times_s, np.abs(believed.shift[now] - predicted.shift)),
-        Series(times_s, np.abs(np.angle(believed.turn[now] / predicted.turn))),
+        Series(times_s, np.abs(believed.translation[now] - predicted.translation)),
+        Series(times_s, np.abs(np.angle(believed.rotation[now] / predicted.rotation))),
     )
 
 
@@ -117,10 +114,10 @@ def prepare_plan_offsets(window: Window) -> Series:
     stamps_s, x, y = plans.values.T
     at_s, *believed = poses.values[np.argsort(poses.values[:, 0], kind="stable"), :4].T
     last = np.searchsorted(at_s, stamps_s, side="right") - 1
-    place = Planar(believed[0] + 1j * believed[1], np.exp(1j * believed[2])).at(last)
-    driven = Motion(odometry, Frames({}))
+    place = PlanarPose.of(*believed).at(last)
+    driven = OdometryPath(odometry, TransformTree({}))
     moved = driven.base(at_s[last]).inverse().compose(driven.base(stamps_s))
-    offset = np.abs(x + 1j * y - place.compose(moved).shift)
+    offset = np.abs(x + 1j * y - place.compose(moved).translation)
     return Series(plans.times_s, np.where(last >= 0, offset, np.nan))
 
 
@@ -134,7 +131,7 @@ def compute_plan_offsets(window: Window) -> Values | Missing:
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of localisation."""
     poses = {"poses": Request(keep_belief, role=POSE, many=True)}
-    odometry = {"odometry": Request(keep_odometry, role=ODOMETRY, dtype=object, many=True)}
+    odometry = {"odometry": ODOMETRY_POSES}
     plans = {"plan": Request(keep_plan_starts, role=PLAN, many=True)}
     return [
         FeaturePlugin("belief", "navigation", BELIEF_FEATURES, compute_belief, poses),

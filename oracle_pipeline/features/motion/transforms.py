@@ -5,7 +5,7 @@ combination of its transform and that of odometry. The frames in a message deter
 transforms belong to it.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,14 +21,12 @@ from oracle_pipeline.features.engine.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.geometry.scan_geometry import (
-    Planar,
-    keep_odometry,
-    nearest,
-)
+from oracle_pipeline.features.geometry.odometry_path import keep_odometry
+from oracle_pipeline.features.geometry.planar_pose import PlanarPose, PosePath
 from oracle_pipeline.features.geometry.scans import Floats
 from oracle_pipeline.features.motion.ego_motion import MOVING, Edge, edges
 from oracle_pipeline.features.statistics.reduction import largest, quantile
+from oracle_pipeline.features.statistics.times import nearest
 
 _TOPICS = "over the topics and transforms"
 FEATURES = (
@@ -96,7 +94,7 @@ def prepare(window: Window) -> _Prepared:
     odometry, jumps = {}, {}
     for topic, series in window.topics["odometry"].items():
         stamps, children, *columns = zip(*series.values, strict=True)
-        stamps_s, pose = np.array(stamps), _planar(*columns)
+        stamps_s, pose = np.array(stamps), PlanarPose.of(*map(np.array, columns))
         if len(stamps_s) > 2:
             jumps[topic] = _jumps(series.times_s, pose)
         for (parent, child), edge in moving.items():
@@ -152,20 +150,16 @@ def register_features() -> list[FeaturePlugin]:
     return [FeaturePlugin("transforms", "transforms", FEATURES, compute, topics, prepare=prepare)]
 
 
-def _planar(x: Sequence[float], y: Sequence[float], yaw: Sequence[float]) -> Planar:
-    return Planar(np.array(x) + 1j * np.array(y), np.exp(1j * np.array(yaw)))
-
-
-def _apart(times_s: Floats, one: Planar, other: Planar) -> _Apart:
+def _apart(times_s: Floats, one: PlanarPose, other: PlanarPose) -> _Apart:
     return _Apart(
-        Series(times_s, np.abs(one.shift - other.shift)),
-        Series(times_s, np.abs(np.angle(one.turn / other.turn))),
+        Series(times_s, np.abs(one.translation - other.translation)),
+        Series(times_s, np.abs(np.angle(one.rotation / other.rotation))),
     )
 
 
-def _jumps(times_s: Floats, pose: Planar) -> _Apart:
+def _jumps(times_s: Floats, pose: PlanarPose) -> _Apart:
     """Return the distance of each pose from the mean of its neighbours."""
-    shift, yaw = pose.shift, np.unwrap(np.angle(pose.turn))
+    shift, yaw = pose.translation, np.unwrap(np.angle(pose.rotation))
     place, turn = (np.abs(v[1:-1] - 0.5 * (v[:-2] + v[2:])) for v in (shift, yaw))
     return _Apart(Series(times_s[1:-1], place), Series(times_s[1:-1], turn))
 
@@ -178,7 +172,7 @@ def _localised(
     A localisation stamps its transform ahead of time, so the two are matched by when they came.
     """
     roots, stamps, *columns = zip(*series.values, strict=True)
-    root, stamps_s, believed = roots[0], np.array(stamps), _planar(*columns)
+    root, stamps_s, believed = roots[0], np.array(stamps), PlanarPose.of(*map(np.array, columns))
     for (parent, middle), upper in moving.items():
         for (hanging, child), lower in moving.items():
             if parent != root or hanging != middle or len(lower.times_s) < 2:
@@ -186,13 +180,7 @@ def _localised(
             order = np.argsort(upper.times_s, kind="stable")
             at = order[nearest(upper.times_s[order], series.times_s)]
             near = np.flatnonzero(np.abs(upper.times_s[at] - series.times_s) <= _TOGETHER_S)
-            x, y, yaw = (
-                np.interp(stamps_s[near], lower.stamps_s, column)
-                for column in (
-                    lower.pose.shift.real, lower.pose.shift.imag,
-                    np.unwrap(np.angle(lower.pose.turn)),
-                )
-            )  # fmt: skip
-            led = upper.pose.at(at[near]).compose(Planar(x + 1j * y, np.exp(1j * yaw)))
+            hung = PosePath.through(lower.stamps_s, lower.pose).at(stamps_s[near])
+            led = upper.pose.at(at[near]).compose(hung)
             place = f"{topic} against {parent} -> {middle} -> {child}"
             yield place, _apart(series.times_s[near], believed.at(near), led)

@@ -21,8 +21,8 @@ from oracle_pipeline.features.engine.plugin import (
     Values,
     Window,
     hookimpl,
+    sole_series,
 )
-from oracle_pipeline.features.geometry.scan_geometry import the_topic
 from oracle_pipeline.robots.roles import BEHAVIOR_TREE, GOAL_STATUS, PLAN
 
 FEATURES = (
@@ -69,10 +69,10 @@ def compute(window: Window) -> Values | Missing:
 
 def goals_so_far(window: Window) -> list[Goal] | Missing:
     """Return the goals so far, from the action's status or else from the behavior tree's log."""
-    status = the_topic(window.history["status"])
+    status = sole_series(window.history["status"])
     if status is not None and len(status.times_s):
         return goals_of_status(status)
-    log = the_topic(window.history["log"])
+    log = sole_series(window.history["log"])
     if log is None:
         return Missing("neither a goal status nor a behaviour tree log is recorded")
     return goals_of_log(log)
@@ -159,7 +159,7 @@ def _time_under_way(goals: list[Goal], window: Window) -> float:
 
 
 def _time_per_planned_metre(goals: list[Goal], window: Window) -> float | Missing:
-    plans = the_topic(window.history["plan"])
+    plans = sole_series(window.history["plan"])
     if plans is None:
         return Missing("no plan is recorded")
     time_s = planned_m = 0.0

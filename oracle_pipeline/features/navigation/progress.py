@@ -21,8 +21,8 @@ from oracle_pipeline.features.engine.plugin import (
     Values,
     Window,
     hookimpl,
+    sole_series,
 )
-from oracle_pipeline.features.geometry.scan_geometry import the_topic
 from oracle_pipeline.features.geometry.scans import Floats, Ints, Points
 from oracle_pipeline.features.motion import odometry
 from oracle_pipeline.features.navigation import goals
@@ -159,7 +159,7 @@ def prepare_drive(window: Window) -> _Drive | Missing:
         return accepted
     (driven,) = window.topics["odometry"].values()
     return _Drive(
-        _efficiency(accepted, the_topic(window.topics["plan"]), driven),
+        _efficiency(accepted, sole_series(window.topics["plan"]), driven),
         stalls(accepted, driven),
         _driven_without_goal(accepted, driven),
     )

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from oracle_pipeline.features.geometry.scan_geometry import Planar
+from oracle_pipeline.features.geometry.planar_pose import PlanarPose
 from oracle_pipeline.features.lidar import costmap_consistency
 from oracle_pipeline.features.lidar.costmap_consistency import unmarked
 from oracle_pipeline.features.lidar.map_consistency import MapGrid
@@ -22,7 +22,7 @@ SCANNER = Scanner("/scan", x_m=0.05, world=World(((0.6, 0.7, 0.2), (-0.8, -0.6, 
 
 
 def grid(cells):
-    pose = Planar(np.asarray(0j), np.asarray(1.0 + 0j))
+    pose = PlanarPose(np.asarray(0j), np.asarray(1.0 + 0j))
     return MapGrid(pose, RESOLUTION, np.asarray(cells, dtype=np.int8))
 
 

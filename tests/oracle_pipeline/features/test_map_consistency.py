@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oracle_pipeline.features.geometry.scan_geometry import Planar
+from oracle_pipeline.features.geometry.planar_pose import PlanarPose
 from oracle_pipeline.features.lidar import map_consistency
 from oracle_pipeline.features.lidar.map_consistency import Map, MapGrid
 from tests.oracle_pipeline.features.scenery import (
@@ -43,7 +43,7 @@ def world(half_m: float = 2.0, yaw: float = 0.0) -> Map:
     cells = room(half_m).astype(np.int8)
     turn = np.exp(1j * yaw)
     return Map.of(
-        MapGrid(Planar(np.asarray(turn * corner(cells)), np.asarray(turn)), RESOLUTION, cells)
+        MapGrid(PlanarPose(np.asarray(turn * corner(cells)), np.asarray(turn)), RESOLUTION, cells)
     )
 
 
@@ -73,7 +73,7 @@ def test_a_turned_map_is_the_same_map():
 def test_rays_into_unknown_space_are_invalid():
     cells = room(2.0).astype(np.int8)
     cells[len(cells) // 2 - 5 : len(cells) // 2 + 5, -11] = 0  # a door; unknown behind it
-    pose = Planar(np.asarray(corner(cells)), np.asarray(1.0 + 0j))
+    pose = PlanarPose(np.asarray(corner(cells)), np.asarray(1.0 + 0j))
     reached = Map.of(MapGrid(pose, RESOLUTION, cells)).cast(np.zeros((1, 1)), np.array([[1.0, 1j]]))
     assert np.isnan(reached[0, 0])
     assert reached[0, 1] == pytest.approx(2.0, abs=0.02)

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from oracle_pipeline.bags.types import message_class
 from oracle_pipeline.features.engine.plugin import Series, Window
-from oracle_pipeline.features.geometry.scan_geometry import Planar
+from oracle_pipeline.features.geometry.planar_pose import PlanarPose
 from oracle_pipeline.features.lidar import local_costmap
 from oracle_pipeline.features.lidar.map_consistency import MapGrid
 from oracle_pipeline.features.motion import localisation, velocity
@@ -216,7 +216,7 @@ def test_a_plan_begins_at_the_estimated_pose(extracted, aside_m):
 
 
 def grid(cells, corner=0j):
-    pose = Planar(np.asarray(corner), np.asarray(1.0 + 0j))
+    pose = PlanarPose(np.asarray(corner), np.asarray(1.0 + 0j))
     return MapGrid(pose, 0.5, np.asarray(cells, dtype=np.int8))
 
 

@@ -13,7 +13,7 @@ from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.types import message_class, serialize
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.features import build_manager, measure
-from oracle_pipeline.features.statistics.even_times import MOST_TIMES, even_spans, even_times
+from oracle_pipeline.features.statistics.times import MOST_TIMES, even_spans, even_times
 from oracle_pipeline.opened_run import open_run
 from tests.oracle_pipeline.features.conftest import START_NS, drive, pose_message, write_bag
 

@@ -6,18 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.features.engine.plugin import Series
-from oracle_pipeline.features.geometry.scan_geometry import (
-    Frames,
-    HitCounter,
-    Planar,
-    agreement,
-    contradicted_shares,
-    keep_frames,
-    nearest,
-)
+from oracle_pipeline.features.geometry.grid_hits import HitCounter
+from oracle_pipeline.features.geometry.planar_pose import PlanarPose
+from oracle_pipeline.features.geometry.scan_agreement import agreement, contradicted_shares
 from oracle_pipeline.features.geometry.scans import Scans
+from oracle_pipeline.features.geometry.transform_tree import TransformTree, keep_transforms
 from oracle_pipeline.features.lidar import redundancy
 from oracle_pipeline.features.statistics.reduction import row_medians
+from oracle_pipeline.features.statistics.times import nearest
 from tests.oracle_pipeline.features.scenery import (
     ROOM_M,
     Scanner,
@@ -125,7 +121,7 @@ def test_a_scanner_does_not_contradict_points_outside_its_view():
 
 
 poses = st.builds(
-    lambda x, y, yaw, flipped: Planar(
+    lambda x, y, yaw, flipped: PlanarPose(
         np.asarray(complex(x, y)), np.asarray(np.exp(1j * yaw)), flipped
     ),
     st.floats(-5, 5), st.floats(-5, 5), st.floats(-4, 4), st.booleans(),
@@ -141,11 +137,11 @@ def test_poses_compose_and_invert(one, other):
 
 
 def test_frames_are_connected_up_to_their_root():
-    joints = keep_frames(transforms(("base", "arm", 1.0, False), ("arm", "lidar", 0.5, True)))
-    frames = Frames({"/tf_static": Series(np.zeros(1), np.fromiter([joints], dtype=object))})
+    joints = keep_transforms(transforms(("base", "arm", 1.0, False), ("arm", "lidar", 0.5, True)))
+    frames = TransformTree({"/tf_static": Series(np.zeros(1), np.fromiter([joints], dtype=object))})
     root, pose = frames.mount("lidar")
     assert root == "base"
-    assert pose.flipped
+    assert pose.mirrored
     assert pose.apply(np.array(1.0 + 1.0j)) == pytest.approx(2.5 - 1.0j)
     assert frames.mount("alone").root == "alone"
 

@@ -3,24 +3,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from oracle_pipeline.features.geometry.scan_geometry import Planar, SensorMount
+from oracle_pipeline.features.geometry.planar_pose import PlanarPose
 from oracle_pipeline.features.geometry.scan_matching import along_arc, steps
 from oracle_pipeline.features.geometry.scans import Scans
+from oracle_pipeline.features.geometry.transform_tree import SensorMount
 from tests.oracle_pipeline.features.scenery import RANGE_MAX_M, RAYS, Pose, World
 
 ROOM = World(((1.0, 0.7, 0.2), (-1.2, 0.4, 0.3), (0.2, -1.4, 0.15)))
 BEARINGS = np.arange(RAYS) * 2.0 * np.pi / RAYS
 
 
-def looked(*poses: Pose, mount: Planar, noise_m: float = 0.0, step_s: float = 0.4) -> Scans:
+def looked(*poses: Pose, mount: PlanarPose, noise_m: float = 0.0, step_s: float = 0.4) -> Scans:
     """Scans of a base at some poses, its scanner mounted so."""
     rng = np.random.default_rng(0)
     rows = []
     for place, yaw in poses:
-        sensor = Planar(np.asarray(place), np.exp(1j * np.asarray(yaw))).compose(mount)
+        sensor = PlanarPose(np.asarray(place), np.exp(1j * np.asarray(yaw))).compose(mount)
         rays = np.exp(1j * BEARINGS)
-        directions = np.angle(sensor.turn * (rays.conj() if sensor.flipped else rays))
-        rows.append(ROOM.cast(complex(sensor.shift), directions))
+        directions = np.angle(sensor.rotation * (rays.conj() if sensor.mirrored else rays))
+        rows.append(ROOM.cast(complex(sensor.translation), directions))
     ranges = np.array(rows) + noise_m * rng.standard_normal((len(rows), RAYS))
     stamps_s = np.arange(len(poses)) * step_s
     column = np.ones((len(poses), 1))
@@ -28,8 +29,8 @@ def looked(*poses: Pose, mount: Planar, noise_m: float = 0.0, step_s: float = 0.
     return Scans(stamps_s, stamps_s, "laser", 0.0 * column, increment * column, RANGE_MAX_M, ranges)
 
 
-def mounted(shift: complex = 0j, yaw: float = 0.0, *, flipped: bool = False) -> Planar:
-    return Planar(np.asarray(shift), np.exp(1j * np.asarray(yaw)), flipped)
+def mounted(shift: complex = 0j, yaw: float = 0.0, *, flipped: bool = False) -> PlanarPose:
+    return PlanarPose(np.asarray(shift), np.exp(1j * np.asarray(yaw)), flipped)
 
 
 @settings(max_examples=40, deadline=None)

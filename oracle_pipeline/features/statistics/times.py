@@ -1,4 +1,4 @@
-"""Even times at which sources are compared, whatever stamps the messages have.
+"""Times at which sources are compared: even ones, and those nearest to others.
 
 Stamps in headers are what a sensor's driver put there: 0 until it knew the time, or that of another
 year. So pauses of stamps are left out where even times would be too many.
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.errors import BagError
 
 Floats: TypeAlias = NDArray[np.float64]
+Ints: TypeAlias = NDArray[np.int64]
 
 MOST_TIMES = 1_000_000
 LONGEST_PAUSE_S = 60.0  # without a stamp, of those that are left out
@@ -68,3 +69,13 @@ def even_spans(
     from_s, to_s = times_s[:-1], times_s[1:]
     whole = to_s - from_s < 1.5 * step_s
     return from_s[whole], to_s[whole]
+
+
+def nearest(times_s: Floats, wanted_s: Floats) -> Ints:
+    """Return the index of the time nearest to each wanted one; times ascend."""
+    after = np.clip(np.searchsorted(times_s, wanted_s), 1, max(1, len(times_s) - 1))
+    before = after - 1
+    if len(times_s) == 1:
+        return np.zeros(len(wanted_s), dtype=np.int64)
+    closer = wanted_s - times_s[before] <= times_s[after] - wanted_s
+    return np.where(closer, before, after)
