@@ -21,6 +21,7 @@ from oracle_pipeline.bags.terminal import PlainTextGroup, version_option
 from oracle_pipeline.comparison.command import compare
 from oracle_pipeline.lasting_imports import lasting_imports
 from oracle_pipeline.live.watch_command import watch
+from oracle_pipeline.logs.import_command import import_logs
 from oracle_pipeline.options import format_option, output_option, plugins_option, rate_option
 from oracle_pipeline.replay.command import replay
 from oracle_pipeline.reporting.kinds_command import invariants, kinds, review
@@ -67,6 +68,7 @@ def main() -> None:
     """  # noqa: D301 -- click reads the control character
 
 
+main.add_command(import_logs)
 main.add_command(replay)
 main.add_command(watch)
 main.add_command(compare)
@@ -127,7 +129,8 @@ def features(
     """Compute the features of one recording.
 
     RUN_OR_BAG is a run directory, the folder of a rosbag2 (SQLite or MCAP, split or compressed), a
-    single .mcap or .db3 file, or a ROS 1 .bag file. No ROS is needed. A feature that cannot be
+    single .mcap or .db3 file, a ROS 1 .bag file, or another log, such as CSV, Parquet or PX4 ULog
+    (see `oracle import --help`). No ROS is needed. A feature that cannot be
     computed from this recording is null, and "missing" has the reason. An unfinished recording is
     read as far as possible; "notes" states how far, and which data were not used. Topics are found
     by message type, not by name. Several robots, each in a namespace, give one row each.

@@ -1,10 +1,11 @@
 """A run directory, a live recording or a foreign bag, opened and checked.
 
 A run directory has a manifest, a bag and graphs. A live recording of ``oracle watch`` has a bag and
-graphs. A foreign bag has neither manifest nor graphs.
+graphs. A foreign bag has neither manifest nor graphs. Any other log is written as a bag first.
 """
 
 import logging
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -21,6 +22,8 @@ from oracle_pipeline.bags.run_directory import (
 )
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.graphs.intervals import Interval, read_intervals
+from oracle_pipeline.logs.files import kind_of
+from oracle_pipeline.logs.formats import open_as_bag
 
 _log = logging.getLogger(__name__)
 
@@ -33,6 +36,7 @@ class OpenedRun:
     bag: BagReader
     manifest: Manifest | None  # None for a live recording or a foreign bag
     intervals: tuple[Interval, ...]  # empty for a foreign bag
+    scratch: "tempfile.TemporaryDirectory[str] | None" = None  # of the bag of another log
 
     @property
     def duration_s(self) -> float:
@@ -44,6 +48,8 @@ class OpenedRun:
 
     def __exit__(self, *_exception: object) -> None:
         self.bag.close()
+        if self.scratch is not None:
+            self.scratch.cleanup()
 
 
 def open_run(path: Path, *, strict: bool = False) -> OpenedRun:
@@ -53,7 +59,8 @@ def open_run(path: Path, *, strict: bool = False) -> OpenedRun:
     ----------
     path : Path
         ``<root>/runs/<mode>/run003``, a recording of ``oracle watch``, the folder of a rosbag2, a
-        single ``.mcap`` or ``.db3`` file, or a ROS 1 ``.bag``.
+        single ``.mcap`` or ``.db3`` file, a ROS 1 ``.bag``, or a log that ``oracle_pipeline.logs``
+        reads.
 
     The files of a run directory are first compared with the hashes in its manifest. Runs of older
     releases have no hashes; they are opened with a warning.
@@ -73,7 +80,21 @@ def open_run(path: Path, *, strict: bool = False) -> OpenedRun:
             f"{path} looks like a run directory but has no {MANIFEST_FILE}, so the run is "
             f"incomplete; record it again, or use {path / BAG_FOLDER} to read only its bag."
         )
-    return OpenedRun(path, BagReader(path, strict=strict), None, ())
+    if kind_of(path) is not None:
+        return _open_log(path)
+    bag = BagReader(path, strict=strict)
+    encodings = {topic.encoding for topic in bag.topics.values()}
+    if encodings and encodings <= {"json", "protobuf"} and path.is_file():
+        bag.close()
+        return _open_log(path)
+    return OpenedRun(path, bag, None, ())
+
+
+def _open_log(path: Path) -> OpenedRun:
+    bag, notes, scratch = open_as_bag(path)
+    reader = BagReader(bag)
+    reader.notes += notes
+    return OpenedRun(path, reader, None, (), scratch)
 
 
 def _open_run_directory(path: Path) -> OpenedRun:

@@ -1,0 +1,47 @@
+"""ArduPilot DataFlash, by pymavlink: each type of message is a topic."""
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pymavlink.DFReader import DFReader_binary
+
+from oracle_pipeline.logs.log import Log, LogError, LogTopic, numeric, reading
+
+_SKIPPED = {"FMT", "FMTU", "UNIT", "MULT", "PARM", "FILE", "MSG"}  # about the log; no signals
+_INSTANCES = ("I", "Instance", "C", "Core")  # fields that number sensors and estimators
+
+
+def read_dataflash(path: Path) -> Log:
+    """Read a ``.bin`` file.
+
+    Topics have the names of messages, ``/ATT``; those of several sensors are numbered, ``/IMU_0``.
+    Times are since the start of the flight controller.
+
+    Raises
+    ------
+    LogError
+        If the file is damaged or holds no messages.
+    """
+    rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    with reading(path, "a DataFlash log"):
+        log = DFReader_binary(str(path), zero_time_base=True)
+        while (message := log.recv_msg()) is not None:
+            if message.get_type() not in _SKIPPED:
+                fields = message.to_dict()
+                instance = next((fields.pop(key) for key in _INSTANCES if key in fields), None)
+                suffix = "" if instance is None else f"_{instance}"
+                rows[f"/{fields.pop('mavpackettype')}{suffix}"].append(fields)
+    found = Log([])
+    for name, messages in sorted(rows.items()):
+        arrays = ((key, np.array([m.get(key) for m in messages])) for key in messages[0])
+        columns = numeric(arrays)
+        micros = columns.pop("TimeUS", None)
+        if micros is None or not columns:
+            found.notes.append(f"{name} has no numbers or no time and is not used.")
+            continue
+        found.topics.append(LogTopic(name, micros.astype(np.int64) * 1000, columns))
+    if not found.topics:
+        raise LogError(f"{path} holds no messages.")
+    return found

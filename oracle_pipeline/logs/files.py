@@ -1,0 +1,48 @@
+"""What kind of log a path is, by its name and first bytes; nothing is parsed for it."""
+
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+from oracle_pipeline.bags.parts import is_recording
+
+Kind: TypeAlias = Literal["tables", "lerobot", "ulog", "dataflash"]
+
+EPISODE = "episode_"
+INFORMATION = Path("meta", "info.json")  # of a LeRobot data set
+
+_SUFFIXES = (".csv", ".parquet")
+_MAGIC: dict[bytes, Kind] = {b"ULog\x01\x12\x35": "ulog", b"\xa3\x95\x80": "dataflash"}
+
+
+def kind_of(path: Path) -> Kind | None:
+    """Return what kind of log a path is; None for bags, MCAP included, and everything else."""
+    if path.is_dir():
+        return "tables" if not is_recording(path) and tables_in(path) else None
+    if is_episode(path):
+        return "lerobot"
+    if not path.is_file():
+        return None
+    if _is_table(path):
+        return "tables"
+    with path.open("rb") as source:
+        begin = source.read(8)
+    return next((kind for magic, kind in _MAGIC.items() if begin.startswith(magic)), None)
+
+
+def tables_in(folder: Path) -> list[Path]:
+    """Return the CSV and Parquet files in a folder, in order."""
+    return sorted(entry for entry in folder.iterdir() if _is_table(entry))
+
+
+def is_dataset(path: Path) -> bool:
+    """Return whether a folder is a LeRobot data set."""
+    return (path / INFORMATION).is_file() and (path / "data").is_dir()
+
+
+def is_episode(path: Path) -> bool:
+    """Return whether a path names an episode, ``<data set>/episode_000003``."""
+    return path.name.startswith(EPISODE) and not path.suffix and is_dataset(path.parent)
+
+
+def _is_table(path: Path) -> bool:
+    return path.suffix.lower() in _SUFFIXES and path.is_file()

@@ -1,0 +1,78 @@
+"""MCAP with Protobuf or JSON messages, by the packages of MCAP: each channel is a topic."""
+
+import json
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from oracle_pipeline.logs.log import Log, LogError, LogTopic, reading
+
+_MOST_ELEMENTS = 64  # of an array; longer ones are images or clouds, and not used
+
+
+def read_mcap(path: Path) -> Log:
+    """Read the messages of all channels; nested fields have names such as ``pose.position.x``.
+
+    Raises
+    ------
+    LogError
+        If the file is damaged or holds no numbers.
+    """
+    rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    stamps: dict[str, list[int]] = defaultdict(list)
+    decoders: dict[int, Any] = {}
+    with reading(path, "MCAP"), path.open("rb") as source:
+        for schema, channel, message in make_reader(source).iter_messages():
+            if channel.message_encoding == "json":
+                content = json.loads(message.data)
+            else:
+                if channel.id not in decoders:
+                    decoders[channel.id] = DecoderFactory().decoder_for("protobuf", schema)
+                content = _fields(decoders[channel.id](message.data))
+            topic = channel.topic if channel.topic.startswith("/") else f"/{channel.topic}"
+            rows[topic].append(dict(_numbers(content)))
+            stamps[topic].append(message.log_time)
+    log = Log([])
+    for topic, messages in rows.items():
+        names = dict.fromkeys(name for message in messages for name in message)
+        columns = {
+            name: np.array([message.get(name, np.nan) for message in messages], dtype=np.float64)
+            for name in names
+        }
+        if columns:
+            log.topics.append(LogTopic(topic, np.array(stamps[topic], dtype=np.int64), columns))
+        else:
+            log.notes.append(f"{topic} holds no numbers and is not used.")
+    if not log.topics:
+        raise LogError(f"{path} holds no numbers.")
+    return log
+
+
+def _fields(message: Any) -> dict[str, Any]:
+    """Return the fields of a Protobuf message, those with default values included."""
+    return {field.name: _value(getattr(message, field.name)) for field in message.DESCRIPTOR.fields}
+
+
+def _value(value: Any) -> Any:
+    if hasattr(value, "DESCRIPTOR"):
+        return _fields(value)
+    if isinstance(value, str | bytes | bool | int | float):
+        return value
+    return [_value(element) for element in value]
+
+
+def _numbers(content: Any, path: str = "") -> Iterator[tuple[str, float]]:
+    """Yield the numbers in nested mappings and lists, with their paths."""
+    if isinstance(content, dict):
+        for name, value in content.items():
+            yield from _numbers(value, f"{path}.{name}" if path else str(name))
+    elif isinstance(content, list) and len(content) <= _MOST_ELEMENTS:
+        for index, value in enumerate(content):
+            yield from _numbers(value, f"{path}[{index}]")
+    elif isinstance(content, bool | int | float):
+        yield path, float(content)

@@ -1,0 +1,136 @@
+"""Write a log as a rosbag2, with a ROS type where the columns are those of one."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
+
+from oracle_pipeline.bags.template import STAMP, Template
+from oracle_pipeline.bags.types import TypeDefinition, message_class, typestore
+from oracle_pipeline.bags.writer import BagWriter
+from oracle_pipeline.logs.log import Log, LogError, LogTopic
+
+_CDR = np.frombuffer(b"\x00\x01\x00\x00", np.uint8)  # encapsulation: CDR, little-endian
+_ROWS = 4096  # messages written at once
+
+
+def write_bag(log: Log, bag: Path) -> None:
+    """Write the topics of a log as a rosbag2 (MCAP).
+
+    Parameters
+    ----------
+    log : Log
+    bag : Path
+        Folder of the bag, which must not exist.
+
+    Raises
+    ------
+    LogError
+        If a topic's columns do not fit its type.
+    BagError
+        If the bag cannot be written.
+    """
+    with BagWriter(bag) as writer:
+        for topic in log.topics:
+            rows, definition = (_typed(topic), None) if topic.msgtype else _made(topic)
+            msgtype = topic.msgtype or made_type(topic.name)
+            writer.add_topic(topic.name, msgtype, [], definition)
+            for begin in range(0, len(rows), _ROWS):
+                chunk = rows[begin : begin + _ROWS]
+                stamps = topic.times_ns[begin : begin + _ROWS].tolist()
+                writer.write_many(
+                    [topic.name] * len(chunk), stamps, [row.tobytes() for row in chunk]
+                )
+
+
+def made_type(topic: str) -> str:
+    """Return the name of the type that is made for a topic.
+
+    Examples
+    --------
+    >>> made_type("/data_motor_1")
+    'log_msgs/msg/DataMotor1'
+    """
+    words = re.findall(r"[A-Za-z0-9]+", topic)
+    name = "".join(word[0].upper() + word[1:] for word in words)
+    return f"log_msgs/msg/{name if name[:1].isalpha() else f'Topic{name}'}"
+
+
+def field_name(column: str) -> str:
+    """Return a column's name as the name of a field."""
+    name = re.sub(r"[^A-Za-z0-9]+", "_", column).strip("_")
+    return name if name[:1].isalpha() else f"c_{name}"
+
+
+def _made(topic: LogTopic) -> tuple[NDArray[Any], TypeDefinition]:
+    """Lay out all columns as 64-bit numbers in a type of their own."""
+    names = [field_name(column) for column in topic.columns]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise LogError(
+            f"{topic.name} has two columns for the field {twice}; rename one in the layout file."
+        )
+    parts, lines = [], []
+    for name, (column, values) in zip(names, topic.columns.items(), strict=True):
+        array = np.asarray(values, dtype="<f8").reshape(len(topic.times_ns), -1)
+        shape = f"[{array.shape[1]}]" if values.ndim > 1 else ""
+        unit = topic.units.get(column, "")
+        lines.append(f"float64{shape} {name}{f'  # [{unit}]' if unit else ''}\n")
+        parts.append(array)
+    numbers = np.concatenate(parts, axis=1).view(np.uint8).reshape(len(topic.times_ns), -1)
+    rows = np.concatenate([np.tile(_CDR, (len(numbers), 1)), numbers], axis=1)
+    return rows, TypeDefinition("".join(lines), "")
+
+
+def _typed(topic: LogTopic) -> NDArray[Any]:
+    """Lay out the columns as messages of a ROS type; other fields are 0."""
+    prototype = _blank(topic.msgtype)
+    for path, text in topic.texts.items():
+        *parents, last = path.split(".")
+        owner = prototype
+        for parent in parents:
+            owner = getattr(owner, parent)
+        setattr(owner, last, text)
+    count = len(topic.times_ns)
+    columns = dict(topic.columns)
+    if hasattr(prototype, "header") and STAMP[0] not in columns:
+        columns[STAMP[0]], columns[STAMP[1]] = np.divmod(topic.times_ns, 1_000_000_000)
+    try:
+        rows = Template(prototype, topic.msgtype, list(columns)).rows(count)
+        for path, values in columns.items():
+            rows[path] = values
+    except (ValueError, KeyError) as error:
+        raise LogError(f"{topic.name} does not fit {topic.msgtype}: {error}.") from error
+    return rows.view(np.uint8).reshape(count, -1)
+
+
+def _blank(msgtype: str) -> Any:
+    """Return a message whose numbers are 0 and whose strings and sequences are empty."""
+    values = [_zero(kind) for _, kind in typestore().fielddefs[msgtype][1]]
+    return message_class(msgtype)(*values)
+
+
+def _zero(kind: Any) -> Any:
+    node, detail = kind
+    if node == Nodetype.NAME:
+        return _blank(detail)
+    if node == Nodetype.BASE:
+        return "" if detail[0] == "string" else 0
+    element, length = detail
+    length = length if node == Nodetype.ARRAY else 0
+    if element[0] == Nodetype.BASE and element[1][0] != "string":
+        return np.zeros(length, dtype={"byte": "uint8", "char": "uint8"}.get(*2 * [element[1][0]]))
+    return [_zero(element) for _ in range(length)]
+
+
+def numeric_paths(msgtype: str) -> Iterator[str]:
+    """Yield the fields of a type that hold numbers, such as ``pose.position.x``."""
+    for name, (node, detail) in typestore().fielddefs[msgtype][1]:
+        if node == Nodetype.NAME:
+            yield from (f"{name}.{path}" for path in numeric_paths(str(detail)))
+        elif node == Nodetype.ARRAY or (node == Nodetype.BASE and detail[0] != "string"):
+            yield name

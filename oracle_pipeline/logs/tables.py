@@ -1,0 +1,265 @@
+"""CSV and Parquet: a file, or a folder of files, each with the messages of one topic."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from oracle_pipeline.logs.files import tables_in
+from oracle_pipeline.logs.layout import SECONDS, Layout, TopicLayout, factor, find_layout
+from oracle_pipeline.logs.log import Log, LogError, LogTopic, grouped, reading
+from oracle_pipeline.logs.types import guessed_type
+
+_TIMES = re.compile(
+    r"%?(?:time|timestamp|stamp|t|elapsed|seconds|sec|secs|date|datetime)"
+    r"(?:[_ .\[(]*(?P<unit>s|sec|ms|msec|us|usec|ns|nsec)[\])]*)?",
+    re.IGNORECASE,
+)
+_NUMBERS = re.compile(r"[\[(]?\s*-?[\d.].*[\d.]\s*[\])]?")
+_STEPS = (("ns", 2e6), ("us", 2e3), ("ms", 2.0))  # a robot logs more than a row in two seconds
+_LABELS = {"label", "labels", "class", "target", "anomaly", "is_anomaly"}  # answers, not signals
+_MOSTLY = 0.9  # of the cells of a column must be numbers, or it counts as text
+
+
+def is_folder_of_topics(folder: Path) -> bool:
+    """Return whether the tables in a folder are the topics of one recording.
+
+    The layout file says so. Without it, they are if most have other columns than the others, or if
+    a folder beside this one has files of the same names.
+    """
+    tables = tables_in(folder)
+    if not tables:
+        return False
+    if recording := find_layout(folder).recording:
+        return recording == "folder"
+    names = {table.name for table in tables}
+    if len(names) > 1 and any(
+        {table.name for table in tables_in(other)} == names
+        for other in folder.parent.iterdir()
+        if other.is_dir() and other != folder
+    ):
+        return True
+    return 2 * len({_header(table) for table in tables}) > len(tables) > 1
+
+
+def read_tables(path: Path, layout: Layout | None = None) -> Log:
+    """Read a file, or all tables of a folder, as one recording.
+
+    Parameters
+    ----------
+    path : Path
+    layout : Layout, optional
+        By default that of the file beside it, if there is one.
+
+    Raises
+    ------
+    LogError
+        If a file is damaged, empty or has no time.
+    """
+    layout = layout or find_layout(path)
+    log = Log([])
+    for file in tables_in(path) if path.is_dir() else [path]:
+        named = path.is_dir()
+        log.topics.append(_topic(file, layout.of_file(file.name), named=named, notes=log.notes))
+    names = [topic.name for topic in log.topics]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise LogError(f"{path} has several files for {twice[0]}; name one topic for each file.")
+    return log
+
+
+def guess_layout(path: Path) -> Layout:
+    """Return the layout that is used without a layout file, to be written and corrected."""
+    tables = tables_in(path) if path.is_dir() else [path]
+    notes: list[str] = []
+    topics = []
+    for file in tables:
+        frame = _read(file)
+        about = _with_time(file, frame, TopicLayout(file.name), notes)
+        columns, _ = _columns(file, frame, about, notes)
+        name = _name(file) if path.is_dir() else "/log"
+        topics.append(replace(about, topic=name, msgtype=guessed_type(columns)))
+    return Layout("folder" if path.is_dir() else "file", tuple(topics))
+
+
+def _topic(file: Path, about: TopicLayout, *, named: bool, notes: list[str]) -> LogTopic:
+    frame = _read(file)
+    about = _with_time(file, frame, about, notes)
+    times_ns = _times_ns(file, frame, about)
+    columns, texts = _columns(file, frame, about, notes)
+    msgtype = about.msgtype or ("" if about.columns else guessed_type(columns))
+    if msgtype and not about.msgtype:
+        notes.append(f"{file.name} is read as {msgtype}, whose fields its columns are.")
+    if msgtype:
+        columns = _of_type(columns)
+    if not columns:
+        raise LogError(f"{file} has no column of numbers beside the time.")
+    kept = ~pd.isna(times_ns)
+    if dropped := int((~kept).sum()):
+        notes.append(f"{file.name}: {dropped} rows without a time are not used.")
+    kept_columns = {name: values[kept] for name, values in columns.items()}
+    units = {} if msgtype else about.units
+    stamps = times_ns[kept].astype(np.int64)
+    name = about.topic or (_name(file) if named else "/log")
+    return LogTopic(name, stamps, kept_columns, msgtype, texts if msgtype else {}, units)
+
+
+def _of_type(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return the columns with the names of ROS 2: those of ROS 1's stamps differ."""
+    stamp = "header.stamp"
+    renamed = {f"{stamp}.secs": f"{stamp}.sec", f"{stamp}.nsecs": f"{stamp}.nanosec"}
+    return {
+        renamed.get(name, name): values for name, values in columns.items() if name != "header.seq"
+    }
+
+
+def _name(file: Path) -> str:
+    return "/" + re.sub(r"[^A-Za-z0-9]+", "_", file.stem).strip("_")
+
+
+def _header(file: Path) -> tuple[str, ...]:
+    with reading(file, "a table"):
+        if file.suffix.lower() == ".parquet":
+            return tuple(pq.read_schema(file).names)
+        return tuple(pd.read_csv(file, sep=_separator(file), nrows=0).columns)
+
+
+def _read(file: Path) -> pd.DataFrame:
+    with reading(file, "a table"):
+        if file.suffix.lower() == ".parquet":
+            frame = pd.read_parquet(file)
+        else:
+            frame = pd.read_csv(file, sep=_separator(file), skipinitialspace=True)
+        if frame.empty:
+            raise ValueError("it has no rows")
+        return frame.rename(columns=lambda name: str(name).strip())
+
+
+def _separator(file: Path) -> str:
+    """Return the commonest separator in the first line of a CSV."""
+    with file.open("rb") as source:
+        line = source.readline(65536)
+    return max(",;\t", key=lambda mark: line.count(mark.encode()))
+
+
+def _with_time(
+    file: Path, frame: pd.DataFrame, about: TopicLayout, notes: list[str]
+) -> TopicLayout:
+    """Complete column and unit of the time."""
+    if about.rate_hz:
+        return about
+    column = about.time_column
+    if not column:
+        column = next((name for name in frame.columns if _TIMES.fullmatch(name)), "")
+    if column not in frame.columns:
+        raise LogError(
+            f"{file} has no column {column}." if column else
+            f"{file} has no column of time. Name it in oracle_log.yaml beside it: "
+            f"`topics: [{{file: {file.name}, time: {{column: NAME, unit: s}}}}]`, or give "
+            "`time: {rate: ROWS_A_SECOND}`."
+        )  # fmt: skip
+    unit = about.time_unit
+    if not unit and pd.api.types.is_numeric_dtype(frame[column]):
+        unit = _guessed_unit(column, frame[column].to_numpy(np.float64))
+        notes.append(f"{file.name}: {column} is taken as the time in {unit}.")
+    return replace(about, time_column=column, time_unit=unit)
+
+
+def _guessed_unit(column: str, values: NDArray[np.float64]) -> str:
+    """Return the unit of a time, by its name, its size since 1970, or its steps."""
+    match = _TIMES.fullmatch(column)
+    if match and match["unit"]:
+        return match["unit"].removesuffix("ec").removesuffix("e")
+    largest = float(np.nanmax(np.abs(values), initial=0.0))
+    for unit, since_1970 in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)):
+        if largest > since_1970:
+            return unit
+    steps = np.abs(np.diff(values))
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    return next((unit for unit, least in _STEPS if step >= least), "s")
+
+
+def _times_ns(file: Path, frame: pd.DataFrame, about: TopicLayout) -> NDArray[np.float64]:
+    """Return the times [ns], NaN where there is none."""
+    times: NDArray[np.float64]
+    if about.rate_hz:
+        return np.round(np.arange(len(frame)) * (1e9 / about.rate_hz))
+    column = frame[about.time_column]
+    if pd.api.types.is_numeric_dtype(column):
+        times = column.to_numpy(np.float64) * (SECONDS[about.time_unit or "s"] * 1e9)
+    else:
+        dates = pd.to_datetime(column, errors="coerce", utc=True)
+        times = np.array(dates.dt.as_unit("ns").astype(np.int64), dtype=np.float64)
+        times[dates.isna().to_numpy()] = np.nan
+    if not np.isfinite(times).any():
+        raise LogError(f"{file}: {about.time_column} holds no time.")
+    times = np.where(np.isfinite(times), times, np.nan)
+    if np.nanmin(times) < 0.0:  # bags begin in 1970
+        times = times - np.nanmin(times)
+    return np.asarray(times, dtype=np.float64)
+
+
+def _columns(
+    file: Path, frame: pd.DataFrame, about: TopicLayout, notes: list[str]
+) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    """Return the columns of numbers by field, and the texts that do not change."""
+    source = {name: name for name in frame.columns if name != about.time_column}
+    if about.columns:
+        source = dict(about.columns)
+        if absent := [name for name in source.values() if name not in frame.columns]:
+            raise LogError(f"{file} has no column {absent[0]}, which its layout names.")
+    columns: dict[str, NDArray[Any]] = {}
+    texts: dict[str, str] = {}
+    unused = []
+    for field, name in source.items():
+        if name in about.ignore:
+            continue
+        if field.lower() in _LABELS:
+            notes.append(f"{file.name}: {name} looks like a label and is not used.")
+            continue
+        values = _numbers(frame[name])
+        if values is not None:
+            scale = factor(about.units[field]) if about.msgtype and field in about.units else 1.0
+            columns[field] = values * scale if scale != 1.0 else values
+        elif frame[name].nunique() == 1:
+            texts[field] = str(frame[name].iloc[0])
+        else:
+            unused.append(name)
+    if unused:
+        notes.append(f"{file.name}: {', '.join(unused[:8])} hold no numbers and are not used.")
+    return grouped(columns), texts
+
+
+def _numbers(column: pd.Series) -> NDArray[Any] | None:
+    """Return a column as numbers, one row or several in each cell; None if it is text."""
+    if column.dtype.kind in "biuf":
+        return column.to_numpy()
+    cells = column.to_numpy()
+    first = next((cell for cell in cells if cell is not None), None)
+    if isinstance(first, str):
+        numbers = pd.to_numeric(column, errors="coerce")
+        if numbers.notna().mean() >= _MOSTLY:
+            return numbers.to_numpy(np.float64)
+        if not _NUMBERS.fullmatch(first) or "," not in first:
+            return None
+        cells = np.array([_listed(cell) for cell in cells], dtype=object)
+    if isinstance(first, str | list | tuple | np.ndarray):
+        sizes = {np.size(cell) for cell in cells}
+        if len(sizes) == 1:
+            try:
+                return np.stack([np.ravel(np.asarray(cell, np.float64)) for cell in cells])
+            except (TypeError, ValueError):
+                return None
+    return None
+
+
+def _listed(cell: object) -> NDArray[np.float64]:
+    """Return the numbers in ``(0.0, 1.0)``; none if it is no list."""
+    try:
+        return np.array([float(word) for word in str(cell).strip("[]() ").split(",")])
+    except ValueError:
+        return np.empty(0)

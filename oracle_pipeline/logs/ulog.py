@@ -1,0 +1,40 @@
+"""PX4 ULog, by pyulog: each logged uORB topic is a topic."""
+
+from pathlib import Path
+
+import numpy as np
+from pyulog import ULog
+
+from oracle_pipeline.logs.log import Log, LogError, LogTopic, grouped, numeric, reading
+
+
+def read_ulog(path: Path) -> Log:
+    """Read a ``.ulg`` file.
+
+    Topics have the names of uORB, ``/vehicle_attitude``; further instances are numbered from 1,
+    ``/sensor_accel_1``. Times are since the start of the flight controller.
+
+    Raises
+    ------
+    LogError
+        If the file is damaged or holds no messages.
+    """
+    with reading(path, "ULog"):
+        log = ULog(str(path))
+    found = Log([])
+    for data in log.data_list:
+        columns = numeric((name, np.asarray(values)) for name, values in data.data.items())
+        stamps = columns.pop("timestamp", None)
+        if stamps is None or not columns:
+            found.notes.append(f"{data.name} has no numbers or no time and is not used.")
+            continue
+        name = f"/{data.name}" + (f"_{data.multi_id}" if data.multi_id else "")
+        found.topics.append(LogTopic(name, stamps.astype(np.int64) * 1000, grouped(columns)))
+    if log.file_corruption:
+        found.notes.append("The file is damaged; parts of it could not be read.")
+    if log.dropouts:
+        lost = sum(drop.duration for drop in log.dropouts)
+        found.notes.append(f"The logger dropped data {len(log.dropouts)} times, {lost} ms in all.")
+    if not found.topics:
+        raise LogError(f"{path} holds no messages.")
+    return found

@@ -1,0 +1,251 @@
+"""One contract over all readers of logs: a log becomes a bag with the same numbers."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+from oracle_pipeline.bags.errors import BagError, OracleError
+from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.cli import main
+from oracle_pipeline.logs.formats import logs_at, open_as_bag, read_log
+from oracle_pipeline.logs.layout import LAYOUT_FILE, Layout
+from oracle_pipeline.logs.log import LogError
+from oracle_pipeline.logs.tables import guess_layout, read_tables
+from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.scoring.reference import recordings_below
+from tests.oracle_pipeline.logs import samples
+
+KINDS = list(samples.SAMPLES)
+
+
+def first_numbers(bag: BagReader, topic: str, field: str) -> list[float]:
+    """Return a field of all messages; of an array its first number."""
+    messages = [bag.deserialize(message) for message in bag.messages([topic])]
+    return [float(np.ravel(getattr(message, field))[0]) for message in messages]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_log_is_read_as_a_bag_with_the_same_times_and_numbers(kind, tmp_path):
+    write, topic, field = samples.SAMPLES[kind]
+    offset = 1.0 if kind == "lerobot" else 0.0  # its second episode
+    with open_run(write(tmp_path)) as run:
+        assert run.bag.topics[topic].count == samples.COUNT
+        assert run.duration_s == pytest.approx(samples.TIMES_S[-1], abs=1e-6)
+        found = first_numbers(run.bag, topic, field)
+    assert found == pytest.approx(samples.SIGNAL + offset, abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_damaged_log_is_refused_in_one_line_or_read_in_part(kind, tmp_path):
+    write, topic, _ = samples.SAMPLES[kind]
+    path = write(tmp_path)
+    file = next(path.parent.glob("data/*/*1.parquet")) if kind == "lerobot" else path
+    content = file.read_bytes()
+    for cut in (20, len(content) // 3, len(content) - 7):
+        file.write_bytes(content[:cut])
+        counts, refusal = _counts(path)
+        assert counts.get(topic, 0) <= samples.COUNT
+        assert bool(counts) != bool(refusal)
+        assert "\n" not in refusal
+
+
+def _counts(path: Path) -> tuple[dict[str, int], str]:
+    """Return the number of messages of each topic, or the error."""
+    try:
+        with open_run(path) as run:
+            return {name: topic.count for name, topic in run.bag.topics.items()}, ""
+    except OracleError as error:
+        return {}, str(error)
+
+
+def test_opened_log_leaves_nothing_behind(tmp_path):
+    with open_run(samples.csv(tmp_path)) as run:
+        bag = run.bag.path
+        assert bag.exists()
+    assert not bag.exists()
+
+
+def test_versions_2_and_3_of_lerobot_give_the_same_episode(tmp_path):
+    second, third = (read_log(samples.lerobot(tmp_path, version)) for version in (2, 3))
+    for one, other in zip(second.topics, third.topics, strict=True):
+        assert one.name == other.name
+        for name in one.columns:
+            np.testing.assert_array_equal(one.columns[name], other.columns[name])
+
+
+def test_episodes_of_a_data_set_are_its_recordings(tmp_path):
+    dataset = samples.lerobot(tmp_path).parent
+    assert [path.name for path in recordings_below(dataset)] == ["episode_000000", "episode_000001"]
+
+
+@given(
+    st.lists(
+        st.floats(-1e9, 1e9), min_size=2, max_size=20
+    ),
+    st.integers(1, 3),
+)
+def test_every_number_of_a_table_is_in_its_bag(tmp_path_factory, numbers, columns):
+    folder = tmp_path_factory.mktemp("table")
+    frame = pd.DataFrame({f"c{n}": np.array(numbers) * (n + 1) for n in range(columns)})
+    frame.insert(0, "timestamp_ms", np.arange(len(numbers)) * 10)
+    frame.to_csv(folder / "t.csv", index=False)
+    bag, _, scratch = open_as_bag(folder / "t.csv")
+    with BagReader(bag) as reader:
+        for n in range(columns):
+            expected = pd.read_csv(folder / "t.csv")[f"c{n}"].tolist()
+            assert first_numbers(reader, "/log", f"c{n}") == expected
+    scratch.cleanup()
+
+
+def exported_drive(folder: Path, speed: float = 0.2) -> Path:
+    """Write a drive as `rosbag` exports topics: one CSV for each, with the names of fields."""
+    folder.mkdir()
+    count = 200
+    pose = {f"position.{axis}": np.zeros(count) for axis in "yz"}
+    pose |= {f"orientation.{axis}": np.full(count, float(axis == "w")) for axis in "xyzw"}
+    time = np.arange(count) * 0.05
+    odometry = {"Time": time, "header.seq": np.arange(count), "header.frame_id": "odom"}
+    odometry |= {"child_frame_id": "base_link", "pose.pose.position.x": time * speed}
+    odometry |= {f"pose.pose.{name}": values for name, values in pose.items()}
+    odometry |= {"pose.covariance": [str((0.0,) * 36)] * count}
+    twist = {f"{part}.{axis}": np.zeros(count) for part in ("linear", "angular") for axis in "xyz"}
+    twist["linear.x"] = np.full(count, speed)
+    odometry |= {f"twist.twist.{name}": values for name, values in twist.items()}
+    pd.DataFrame(odometry).to_csv(folder / "odom.csv", index=False)
+    pd.DataFrame({"Time": time} | twist).to_csv(folder / "cmd_vel.csv", index=False)
+    return folder
+
+
+def test_exported_topics_get_their_types_back(tmp_path):
+    with open_run(exported_drive(tmp_path / "drive")) as run:
+        types = {name: topic.msgtype for name, topic in run.bag.topics.items()}
+        first = run.bag.deserialize(next(run.bag.messages(["/odom"])))
+    assert types == {"/odom": "nav_msgs/msg/Odometry", "/cmd_vel": "geometry_msgs/msg/Twist"}
+    assert first.header.frame_id == "odom"
+    assert first.pose.covariance.shape == (36,)
+
+
+def test_commands_read_logs(tmp_path):
+    drive = exported_drive(tmp_path / "drive")
+    result = CliRunner().invoke(main, ["features", str(drive), "--format", "json"])
+    assert result.exit_code == 0, result.output
+    row = json.loads(result.stdout)["rows"][0]
+    assert row["contextual.speed"] == pytest.approx(0.2, rel=0.05)
+
+
+def test_import_writes_a_bag_that_is_read_as_the_log(tmp_path):
+    drive = exported_drive(tmp_path / "drive")
+    result = CliRunner().invoke(main, ["import", str(drive), "--out", str(tmp_path / "bags")])
+    assert result.exit_code == 0, result.output
+    with open_run(drive) as log, open_run(tmp_path / "bags" / "drive") as bag:
+        assert [(m.topic, m.data) for m in log.bag.messages()] == [
+            (m.topic, m.data) for m in bag.bag.messages()
+        ]
+
+
+def test_guessed_layout_reads_the_same_as_none(tmp_path):
+    drive = exported_drive(tmp_path / "drive")
+    without = read_tables(drive)
+    (drive / LAYOUT_FILE).write_text(guess_layout(drive).text())
+    with_layout = read_tables(drive)
+    for one, other in zip(without.topics, with_layout.topics, strict=True):
+        assert (one.name, one.msgtype) == (other.name, other.msgtype)
+        np.testing.assert_array_equal(one.times_ns, other.times_ns)
+        assert list(one.columns) == list(other.columns)
+
+
+def test_layout_names_topic_type_time_and_units(tmp_path):
+    file = tmp_path / "gyro.csv"
+    pd.DataFrame({"tick": [0, 10, 20], "gz": [90.0, 0.0, -90.0], "note": [1, 2, 3]}).to_csv(
+        file, index=False
+    )
+    (tmp_path / LAYOUT_FILE).write_text(
+        "topics:\n"
+        "- file: gyro*.csv\n"
+        "  topic: /imu\n"
+        "  type: sensor_msgs/msg/Imu\n"
+        "  time: {column: tick, unit: ms}\n"
+        "  fields: {angular_velocity.z: {column: gz, unit: deg/s}}\n"
+    )
+    with open_run(file) as run:
+        messages = [run.bag.deserialize(message) for message in run.bag.messages(["/imu"])]
+        assert run.duration_s == pytest.approx(0.02)
+    assert [m.angular_velocity.z for m in messages] == pytest.approx([math.pi / 2, 0, -math.pi / 2])
+    assert messages[1].header.stamp.nanosec == 10_000_000
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("topics: [{}]", "'file' is a required property"),
+        ("topics: [{file: a.csv, time: {}}]", "is not valid"),
+        ("recording: both", "is not one of"),
+        ("topics: [{file: a.csv, type: no_msgs/msg/Such}]", "no_msgs/msg/Such, which is not known"),
+        ("a: &a [*a]", "alias"),
+        ("a: !!python/object:os.system {}", "tag"),
+        (
+            "topics: [{file: a, type: sensor_msgs/msg/Imu, fields: {x: {column: x, unit: ell}}}]",
+            "unit 'ell'",
+        ),
+    ],
+)
+def test_bad_layout_is_refused_with_its_fault(text, fault, tmp_path):
+    file = tmp_path / LAYOUT_FILE
+    file.write_text(text)
+    with pytest.raises(LogError, match=fault):
+        Layout.load(file)
+
+
+@pytest.mark.parametrize(
+    ("name", "times", "unit"),
+    [
+        ("time", np.arange(5) * 0.01, "s"),
+        ("timestamp", np.arange(5) * 9.88, "ms"),
+        ("timestamp", np.arange(5) * 10_000, "us"),
+        ("t_us", np.arange(5) * 1.0, "us"),
+        ("Time", 1.7e9 + np.arange(5), "s"),
+        ("Time", 1.7e18 + np.arange(5) * 1e7, "ns"),
+    ],
+)
+def test_unit_of_time_is_guessed_and_told(name, times, unit, tmp_path):
+    file = tmp_path / "t.csv"
+    pd.DataFrame({name: times, "x": np.arange(5)}).to_csv(file, index=False)
+    assert f"{name} is taken as the time in {unit}." in " ".join(read_tables(file).notes)
+
+
+def test_label_is_never_a_signal(tmp_path):
+    file = tmp_path / "t.csv"
+    pd.DataFrame({"time": [0, 1], "x": [1, 2], "Label": [0, 1]}).to_csv(file, index=False)
+    log = read_tables(file)
+    assert list(log.topics[0].columns) == ["x"]
+    assert "Label looks like a label" in " ".join(log.notes)
+
+
+def test_folder_is_topics_of_one_recording_or_recordings_of_one_topic(tmp_path):
+    flights = tmp_path / "flights"
+    flights.mkdir()
+    for number in range(3):
+        samples.csv(flights).rename(flights / f"flight{number}.csv")
+    assert len(list(logs_at(flights))) == 3
+    arms = tmp_path / "arms"
+    for run in ("monday", "tuesday"):
+        (arms / run).mkdir(parents=True)
+        for motor in (1, 2):
+            samples.csv(arms / run).rename(arms / run / f"motor_{motor}.csv")
+    assert list(recordings_below(arms)) == [arms / "monday", arms / "tuesday"]
+
+
+def test_table_without_time_says_how_to_name_it(tmp_path):
+    file = tmp_path / "t.csv"
+    pd.DataFrame({"x": [1, 2]}).to_csv(file, index=False)
+    with pytest.raises(BagError, match="no column of time.*oracle_log.yaml"):
+        read_log(file)
+    (tmp_path / LAYOUT_FILE).write_text("topics: [{file: t.csv, time: {rate: 50}}]")
+    assert read_log(file).topics[0].times_ns.tolist() == [0, 20_000_000]
