@@ -86,9 +86,7 @@ def test_episodes_of_a_data_set_are_its_recordings(tmp_path):
 
 
 @given(
-    st.lists(
-        st.floats(-1e9, 1e9), min_size=2, max_size=20
-    ),
+    st.lists(st.floats(-1e9, 1e9), min_size=2, max_size=20),
     st.integers(1, 3),
 )
 def test_every_number_of_a_table_is_in_its_bag(tmp_path_factory, numbers, columns):
