@@ -19,7 +19,6 @@ import click
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import PlainTextGroup, version_option
 from oracle_pipeline.comparison.command import compare
-from oracle_pipeline.lasting_imports import lasting_imports
 from oracle_pipeline.live.watch_command import watch
 from oracle_pipeline.logs.import_command import import_logs
 from oracle_pipeline.options import format_option, output_option, plugins_option, rate_option
@@ -148,11 +147,10 @@ def features(
     if roles == _SHOWN:
         _print_roles(run_or_bag, strict=strict)
         return
-    with lasting_imports():
-        from oracle_pipeline import features as feature_extraction
-        from oracle_pipeline.datasets import write_table
-        from oracle_pipeline.opened_run import open_run
-        from oracle_pipeline.robots.robot import find_robots
+    from oracle_pipeline import features as feature_extraction
+    from oracle_pipeline.datasets import write_table
+    from oracle_pipeline.opened_run import open_run
+    from oracle_pipeline.robots.robot import find_robots
 
     manager = feature_extraction.build_manager(plugins)
     choices = _choices(Path(roles) if roles else None)

@@ -15,10 +15,9 @@ warnings.filterwarnings("ignore", category=dg.BetaWarning)
 warnings.filterwarnings("ignore", category=dg.PreviewWarning)
 
 from oracle_pipeline.bags.terminal import escape_logs  # noqa: E402
-from oracle_pipeline.lasting_imports import lasting_imports  # noqa: E402
 from oracle_pipeline.programs import explain_clashes  # noqa: E402
 
-with lasting_imports(), explain_clashes():
+with explain_clashes():
     from assets import (
         arrival_sensor,
         attack_search,

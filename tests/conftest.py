@@ -3,7 +3,6 @@
 import gc
 import os
 from collections import Counter
-from collections.abc import Generator
 from pathlib import Path
 
 # Before NumPy is imported: as many test processes as cores, each with one thread.
@@ -12,21 +11,12 @@ os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 import pytest
 from hypothesis import settings
 
-from oracle_pipeline.lasting_imports import lasting_imports
-
 # Tests leave little garbage in cycles: it is searched for a hundred times less often.
 gc.set_threshold(70_000)
 
 # The same examples everywhere, and no deadline: a busy machine is not a wrong answer.
 settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("repeatable")
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_collection() -> Generator[None, object, object]:
-    """Keep the garbage collector away from the modules that tests import: they stay to the end."""
-    with lasting_imports():
-        return (yield)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -10,12 +10,10 @@ import networkx  # noqa: F401 -- of graphs, imported where it is used
 import pandas  # noqa: F401 -- of the tables, likewise
 from numba.core.registry import cpu_target
 
-from oracle_pipeline.bags.jit import load_kept
 from oracle_pipeline.bags.types import typestore
 
 # The functions that numba knows, which it collects when it first loads compiled code.
 cpu_target.typing_context.refresh()
 cpu_target.target_context.refresh()
-load_kept()
 typestore()  # the definitions of ROS 2
 gc.freeze()  # a fork does not search all of this for garbage

@@ -19,8 +19,7 @@ from tests.assets.laboratory import (
 from tests.instances import instance_of
 
 # Where the work on runs and recordings begins, and what the first one loads: a second of imports
-# that each worker would make again. The last one loads their compiled loops, and keeps the garbage
-# collector away from all this.
+# that each worker would make again. The last one keeps the garbage collector away from all this.
 FORKED = [
     "assets.worker.run",
     "assets.worker.inspections",

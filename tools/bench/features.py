@@ -16,7 +16,6 @@ from rosbags.rosbag2 import Reader
 from oracle_pipeline import features
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.features.engine.kept_messages import decoded_topics
-from oracle_pipeline.lasting_imports import lasting_imports
 from oracle_pipeline.opened_run import open_run
 from sim.campaigns import Campaign
 from sim.experiments import recipe_for, record_run
@@ -35,8 +34,7 @@ def rows() -> Iterator[Row]:
         directory = RunDirectory(Path(folder), MODE, 0)
         record_run(recipe_for(MODE, 0, Campaign(goals_per_run=GOALS)), directory)
         manager = features.build_manager()
-        with lasting_imports():  # as the commands do
-            _extract(directory.path, manager)  # compiles the hot loops, unless they are cached
+        _extract(directory.path, manager)  # compiles the hot loops, unless they are cached
         wanted = _decoded_topics(directory.path, manager)
         read, decode, extract = [], [], []
         for _ in range(ROUNDS):

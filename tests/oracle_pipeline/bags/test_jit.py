@@ -1,42 +1,34 @@
-import importlib
+"""Importing our packages leaves the libraries that others use beside them as they are."""
+
+import subprocess
 import sys
 
 import pytest
 
-from oracle_pipeline.bags.jit import load_kept
+OURS = "import oracle_pipeline.cli, oracle_pipeline.features.manager, sim.turtlebot3.world"
+# Correlations of floats go through BLAS, if numba finds that of SciPy.
+OTHERS = """
+import gc, sys
+import numba, numpy as np
 
-LOOPS = """
-from oracle_pipeline.bags.jit import jit
+@numba.njit
+def correlated(a, b):
+    return np.convolve(a, b), np.dot(a, b)
 
-@jit
-def half(x):
-    return x / 2
-
-@jit
-def quarter(x):
-    return half(half(x))
+a, b = np.random.default_rng(0).normal(size=(2, 1001))
+print([values.tobytes().hex() for values in map(np.asarray, correlated(a, b))])
+print([name for name, module in sys.modules.items() if module is None])
+print(np.geterr(), np.get_printoptions(), gc.isenabled(), gc.get_threshold(), gc.get_freeze_count())
+print({name: getattr(numba.config, name) for name in dir(numba.config) if name.isupper()})
 """
 
 
-@pytest.fixture
-def loops(tmp_path, monkeypatch):
-    """Return a function that imports compiled loops as a new process does."""
-    (tmp_path / "loops.py").write_text(LOOPS)
-    monkeypatch.syspath_prepend(tmp_path)
-
-    def load():
-        monkeypatch.delitem(sys.modules, "loops", raising=False)
-        return importlib.import_module("loops")
-
-    yield load
-    del sys.modules["loops"]
+def printed(code):
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
 
 
-def test_kept_code_is_loaded_before_the_first_call(loops):
-    first = loops()
-    assert first.quarter(3.0) == 0.75
-    again = loops()
-    assert not again.quarter.signatures
-    load_kept()
-    assert again.quarter.signatures == first.quarter.signatures
-    assert not again.half.signatures  # a part of the code of the other
+@pytest.mark.slow(8)
+def test_importing_our_packages_changes_no_number_and_no_setting_of_others():
+    assert printed(OURS + OTHERS) == printed(OTHERS)

@@ -94,7 +94,6 @@ def test_features_of_a_bag_need_no_library_that_takes_long_to_import(foreign_bag
         "pandas",
         "pyarrow",
         "networkx",
-        "scipy.linalg",
         "scipy.ndimage",
         "scipy.sparse",
         "tqdm",
