@@ -18,7 +18,7 @@ from sim.testbeds import TESTBEDS
 if TYPE_CHECKING:
     import pandas as pd
 
-    from oracle_pipeline.reporting.report import Report
+    from oracle_pipeline.reporting.stored_report import Report
 
 AUTO = "auto"
 DATASET, WINDOWS, TRUTH = "features", "windows", "truth"  # tables over all runs
@@ -96,7 +96,7 @@ def windows_of(store: RunStore, df: "pd.DataFrame") -> "pd.DataFrame":
 def keep(result: "Report", store: RunStore, name: str) -> dg.MaterializeResult[None]:
     """Save a report for `oracle_report`, show it in the UI, and log its path."""
     from oracle_pipeline.datasets import content_hash
-    from oracle_pipeline.reporting.report import SUMMARY
+    from oracle_pipeline.reporting.stored_report import SUMMARY
 
     place = store.results(name)
     with published(place, last=SUMMARY) as folder:

@@ -43,7 +43,7 @@ def checks_of_evaluation(
     context: dg.AssetCheckExecutionContext, store: RunStore
 ) -> Iterator[dg.AssetCheckResult]:
     """Return the results of the integrity checks; an unsupported check does not pass."""
-    from oracle_pipeline.reporting.report import Report
+    from oracle_pipeline.reporting.stored_report import Report
 
     with clear_failures():
         table = Report.load(store.results(EVALUATION)).tables[TABLE]

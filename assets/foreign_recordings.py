@@ -61,7 +61,7 @@ FOREIGN_REPORT = dg.AssetSpec(
     group_name=GROUP,
     kinds={"oracle", "jinja"},
     **declared("campaign", "report/foreign.html"),
-    code_version=analysis_code("oracle_pipeline.reporting.foreign"),
+    code_version=analysis_code("oracle_pipeline.reporting.arrivals_page"),
     description="""All verdicts on recordings that arrived, as one HTML file, the newest first.
 
 `<root>/report/foreign.html`, beside the report on the campaign, which links to it.""",
@@ -234,12 +234,12 @@ def _evaluation(kept: "KeptVerdict", target: dg.EventLogRecord | None) -> dg.Ass
 
 def _write_page(store: RunStore) -> int:
     """Write the page on all verdicts, and return their number."""
-    from oracle_pipeline.reporting.foreign import foreign_page
+    from oracle_pipeline.reporting.arrivals_page import arrivals_page
     from oracle_pipeline.reporting.html import write_page
     from oracle_pipeline.scoring.kept_verdicts import kept_verdicts
 
     shown = None
     while shown != (now := kept_verdicts(store.path)):  # another run may have written meanwhile
-        write_page(foreign_page(now), layout.foreign_page(store.path))
+        write_page(arrivals_page(now), layout.foreign_page(store.path))
         shown = now
     return len(shown)

@@ -25,7 +25,7 @@ from resources.store import RunStore
 
 if TYPE_CHECKING:
     from oracle_pipeline.evaluation.campaign_evaluation import CampaignEvaluation
-    from oracle_pipeline.evaluation.oracle_kinds import KindsComparison
+    from oracle_pipeline.evaluation.kinds_comparison import KindsComparison
     from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 QUESTIONS = 20  # answered by labels in place of a person
@@ -55,7 +55,7 @@ def oracle_evaluation(
     from oracle_pipeline.datasets import read_table
     from oracle_pipeline.evaluation.campaign_evaluation import evaluate
     from oracle_pipeline.reporting.evaluation_report import evaluation_report
-    from oracle_pipeline.reporting.oracle_kinds import with_kinds
+    from oracle_pipeline.reporting.kinds_tables import with_kinds
 
     with clear_failures():
         df = run_table(store, config.testbed)
@@ -102,7 +102,7 @@ def _kinds(
 
     from assets.worker.traces import require_trace
     from oracle_pipeline.datasets import KEYS
-    from oracle_pipeline.evaluation.oracle_kinds import CARD, compare_kinds
+    from oracle_pipeline.evaluation.kinds_comparison import CARD, compare_kinds
     from oracle_pipeline.oracles.calibration import KindScores
     from oracle_pipeline.oracles.human import answered_by_labels
     from oracle_pipeline.oracles.kind import Material, TracedRuns

@@ -63,11 +63,11 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
     from oracle_pipeline.evaluation.unusual_windows import unusual_windows
     from oracle_pipeline.replay.picture import FILM
     from oracle_pipeline.reporting import html, thesis_reports
+    from oracle_pipeline.reporting.arrivals_page import summary
     from oracle_pipeline.reporting.explanation import drawn, explanations
-    from oracle_pipeline.reporting.foreign import summary
-    from oracle_pipeline.reporting.report import Report
     from oracle_pipeline.reporting.run_pages import ShownRuns, write_run_pages
     from oracle_pipeline.reporting.searched import searched
+    from oracle_pipeline.reporting.stored_report import Report
     from oracle_pipeline.scoring.kept_verdicts import kept_verdicts
     from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 

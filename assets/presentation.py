@@ -14,7 +14,7 @@ import dagster as dg
 if TYPE_CHECKING:
     import pandas as pd
 
-    from oracle_pipeline.reporting.report import Report
+    from oracle_pipeline.reporting.stored_report import Report
 
 MAX_PNG_BYTES = 100_000  # pictures live in the event log, which every page load reads
 MAX_ROWS = 40

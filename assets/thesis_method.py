@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from oracle_pipeline.evaluation.variants import VariantName
-    from oracle_pipeline.reporting.report import Report
+    from oracle_pipeline.reporting.stored_report import Report
 
 ROWS = "bootstrapped_dataset"
 
@@ -90,14 +90,14 @@ def clustering_grid_search(config: GridConfig, store: RunStore) -> dg.Materializ
     ones with its threshold. Each setting has confusion matrix, TPR, FPR, balanced accuracy, MCC and
     the AUC of the continuous HAC height, with intervals.
     """
-    from oracle_pipeline.clustering.grid import Grid, Metric
+    from oracle_pipeline.clustering.grid_settings import GridSettings, Metric
     from oracle_pipeline.clustering.tree import Linkage
     from oracle_pipeline.reporting import thesis_reports
-    from oracle_pipeline.reporting.report import Report
+    from oracle_pipeline.reporting.stored_report import Report
 
     with clear_failures():
         dataset = Report.load(store.results(ROWS))
-        grid = Grid(
+        grid = GridSettings(
             tuple(cast(list[Linkage], config.linkages)),
             tuple(cast(list[Metric], config.metrics)),
             tuple(config.thresholds),
@@ -138,7 +138,7 @@ def pairwise_report(store: RunStore) -> dg.MaterializeResult[None]:
 
 def runs_drawn_from(store: RunStore) -> "pd.DataFrame":
     """Return the runs that the rows of `bootstrapped_dataset` were drawn from."""
-    from oracle_pipeline.reporting.report import Report
+    from oracle_pipeline.reporting.stored_report import Report
 
     rows = Report.load(store.results(ROWS)).table
     return _experiments(run_table(store, testbed_of(rows["mode"].iloc[0])))
@@ -153,7 +153,7 @@ def _experiments(df: "pd.DataFrame") -> "pd.DataFrame":
 
 def bootstrap_settings(store: RunStore) -> "tuple[int, float, int, VariantName]":
     """Return rows, malicious rate, seed and variant of `bootstrapped_dataset`."""
-    from oracle_pipeline.reporting.report import Report
+    from oracle_pipeline.reporting.stored_report import Report
 
     dataset = Report.load(store.results(ROWS))
     rows, rate, seed = (dataset.summary[name] for name in ("rows", "malicious_rate", "seed"))

@@ -18,11 +18,11 @@ import click
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import PlainTextGroup, version_option
-from oracle_pipeline.comparison.command import compare
+from oracle_pipeline.comparison.compare_command import compare
 from oracle_pipeline.live.watch_command import watch
 from oracle_pipeline.logs.import_command import import_logs
 from oracle_pipeline.options import format_option, output_option, plugins_option, rate_option
-from oracle_pipeline.replay.command import replay
+from oracle_pipeline.replay.replay_command import replay
 from oracle_pipeline.reporting.kinds_command import invariants, kinds, review
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ _AT_ONCE = 1_000  # assignments processed at once, to limit memory
 _LEAST_ERROR = 0.05
 
 
-class Design(ABC):
+class PermutationDesign(ABC):
     """The possible assignments of recordings to the two sets, if the sets do not differ."""
 
     @property
@@ -66,7 +66,7 @@ class Design(ABC):
         return max(2.0 / self.size, 1.0 / (DRAWN + 1))
 
 
-class TwoSamples(Design):
+class TwoSamples(PermutationDesign):
     """Recordings without a partner: Welch's statistic.
 
     Parameters
@@ -134,7 +134,7 @@ class TwoSamples(Design):
         return np.asarray(np.nan_to_num(np.nanmean(signs, axis=(0, 1))), dtype=np.float64)
 
 
-class MatchedPairs(Design):
+class MatchedPairs(PermutationDesign):
     """Recordings with a partner of the same start and goals: the paired t statistic.
 
     Parameters
@@ -178,7 +178,7 @@ class MatchedPairs(Design):
         return np.asarray(np.sign(self._differences).mean(axis=0), dtype=np.float64)
 
 
-def adjusted_p_values(design: Design, rng: np.random.Generator) -> Numbers:
+def adjusted_p_values(design: PermutationDesign, rng: np.random.Generator) -> Numbers:
     """Return a p-value for each feature, adjusted for all of them, shape (n_features,).
 
     If the sets do not differ, the probability of any p-value at or below a level is at most that
@@ -186,7 +186,7 @@ def adjusted_p_values(design: Design, rng: np.random.Generator) -> Numbers:
 
     Parameters
     ----------
-    design : Design
+    design : PermutationDesign
         Its assignments are enumerated if there are few, or else drawn.
     rng : Generator
         Draws assignments.

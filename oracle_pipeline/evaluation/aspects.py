@@ -56,23 +56,20 @@ def aspects_table(
     return pd.DataFrame(rows)
 
 
-def by_mode(
+def aspects_by_mode(
     scores: Mapping[str, HeldOutScores],
-    unexposed: Mapping[str, HeldOutScores],
     campaign: JudgedRuns,
     effects: TaskEffects,
     rng: np.random.Generator,
 ) -> pd.DataFrame:
     """Return a row for each mode: the share of runs that misbehaved, and the verdicts on them.
 
-    Further columns use scores that were learned without hard negatives. The last row is for all
-    hard negatives, if there are any.
+    The last row is for all hard negatives, if there are any.
 
     Parameters
     ----------
-    scores, unexposed : mapping of str to HeldOutScores
-        By aspect; `unexposed` scores were learned without hard negatives, and are empty if there
-        are none.
+    scores : mapping of str to HeldOutScores
+        By aspect.
     campaign : JudgedRuns
     effects : TaskEffects
     rng : Generator
@@ -95,38 +92,8 @@ def by_mode(
                 ),
                 "effect_median": float(np.median(sizes)) if len(sizes) else np.nan,
                 **_called(scores, campaign, members, rng),
-                **_called(unexposed, campaign, members, rng, "untaught"),
             }
         )
-    return pd.DataFrame(rows)
-
-
-def quadrants(
-    scores: Mapping[str, HeldOutScores],
-    campaign: JudgedRuns,
-    effects: TaskEffects,
-    rng: np.random.Generator,
-) -> pd.DataFrame:
-    """Return a row for each combination of tampered and misbehaved, with the verdicts on its runs.
-
-    Runs whose behaviour could not be compared are left out.
-    """
-    rows = []
-    for tampered in (False, True):
-        for misbehaved in (False, True):
-            members = (
-                effects.known
-                & (campaign.malicious == tampered)
-                & (effects.misbehaved == misbehaved)
-            )
-            rows.append(
-                {
-                    "tampered": "yes" if tampered else "no",
-                    "misbehaved": "yes" if misbehaved else "no",
-                    "runs": int(members.sum()),
-                    **_called(scores, campaign, members, rng),
-                }
-            )
     return pd.DataFrame(rows)
 
 
@@ -135,7 +102,6 @@ def _called(
     campaign: JudgedRuns,
     members: NDArray[np.bool_],
     rng: np.random.Generator,
-    prefix: str = "called",
 ) -> dict[str, float]:
     """Return the share of runs that each score, and both together, call anomalous."""
     of_aspects = {aspect: of_aspect.p for aspect, of_aspect in scores.items()}
@@ -146,5 +112,5 @@ def _called(
         judged = members & np.isfinite(p)
         called = p[judged] <= RATES[0]
         rate = share(called, campaign.block[judged], rng) if judged.any() else NOTHING
-        columns |= rate.columns(f"{prefix}_{aspect}")
+        columns |= rate.columns(f"called_{aspect}")
     return columns

@@ -15,13 +15,11 @@ import pandas as pd
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from oracle_pipeline.clustering.tree import ClusteringError
 from oracle_pipeline.datasets import is_hard_negative
 from oracle_pipeline.detectors import DetectorError, panel, upper_bounds
-from oracle_pipeline.evaluation import integrity
-from oracle_pipeline.evaluation.alarms import WatchedRuns, judge_alarms, watched
-from oracle_pipeline.evaluation.aspects import aspects_table, by_mode, quadrants
-from oracle_pipeline.evaluation.audit import audit
+from oracle_pipeline.evaluation import integrity_checks
+from oracle_pipeline.evaluation.alarm_metrics import WatchedRuns, judge_alarms, watched
+from oracle_pipeline.evaluation.aspects import aspects_by_mode, aspects_table
 from oracle_pipeline.evaluation.comparisons import (
     ALL_MODES,
     HEADLINE,
@@ -34,8 +32,7 @@ from oracle_pipeline.evaluation.comparisons import (
     scorers,
     unjudged,
 )
-from oracle_pipeline.evaluation.curves import HeadlineCurves, headline_curves
-from oracle_pipeline.evaluation.effort import small_clusters_table
+from oracle_pipeline.evaluation.curves import NamedCurves, roc_curves
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
 from oracle_pipeline.evaluation.held_out import (
     HeldOutScores,
@@ -80,16 +77,14 @@ class CampaignEvaluation:
     seed: int  # of splits, detectors and resamples
     headline: HeldOutScores  # of the headline's scorer
     table: pd.DataFrame  # a row for each scorer, split and comparison, the headline first
-    checks: list[integrity.IntegrityCheck]
+    checks: list[integrity_checks.IntegrityCheck]
     open_claims: list[OpenClaim]  # what cannot be claimed yet
     watched: WatchedRuns  # by the headline's scorer, window by window
     alarms: pd.DataFrame  # metrics of those alarms
     aspect_scores: Mapping[str, HeldOutScores]  # tampering and misbehaviour, run by run
     effects: TaskEffects  # the ground truth of misbehaviour
     aspects: dict[str, pd.DataFrame]  # metrics of those scores, by table
-    small_clusters: pd.DataFrame
-    audit: pd.DataFrame  # features of the headline that distinguish unaltered runs
-    curves: HeadlineCurves | None  # None while only one class of runs has scores
+    curves: NamedCurves  # ROC, by comparison
     kills: pd.DataFrame | None  # None without a grid
 
 
@@ -156,11 +151,8 @@ def _evaluated(
     watched_runs, alarms = steps.alarms()
     effects = task_effects(steps.campaign)
     aspect_scores, aspects = steps.aspects(effects)
-    small_clusters = steps.small_clusters()
-    steps.progress("audit")
-    distinguishing = audit(steps.campaign.features, steps.sets.get(HEADLINE.features, []))
     steps.progress("curves")
-    curves = headline_curves(headline, steps.campaign, steps.compared, steps.rng)
+    curves = roc_curves(headline, steps.campaign, steps.compared, steps.rng)
     kills = None
     if grid is not None:
         steps.progress("kill matrix")
@@ -179,8 +171,6 @@ def _evaluated(
         aspect_scores=aspect_scores,
         effects=effects,
         aspects=aspects,
-        small_clusters=small_clusters,
-        audit=distinguishing,
         curves=curves,
         kills=kills,
     )
@@ -311,37 +301,21 @@ class _Steps:
     ) -> tuple[dict[str, HeldOutScores], dict[str, pd.DataFrame]]:
         """Return the scores of tampering and of misbehaviour, and their metrics."""
         self.progress("tampering and misbehaviour")
-        df = self.campaign.features
-        scores = self._aspect_scores(self.folds)
-        plain = without_hard_negatives(df, self.folds) if is_hard_negative(df).any() else []
-        unexposed = self._aspect_scores(plain) if plain else {}
-        of_all = (self.campaign, effects)
-        return scores, {
-            "aspects": aspects_table(scores, *of_all, self.compared, self.rng),
-            "aspects_by_mode": by_mode(scores, unexposed, *of_all, self.rng),
-            "quadrants": quadrants(scores, *of_all, self.rng),
-            "task_uncertainty": effects.table(),
-        }
-
-    def _aspect_scores(self, folds: Sequence[Fold]) -> dict[str, HeldOutScores]:
-        return {
-            scorer.features: _supported(self.score(scorer, folds))
+        scores = {
+            scorer.features: _supported(self.score(scorer, self.folds))
             for scorer in OF_CARD[1:]
             if scorer.features in self.sets
         }
-
-    def small_clusters(self) -> pd.DataFrame:
-        """Evaluate the small-cluster protocol on all runs at once."""
-        self.progress("small clusters")
-        columns = self.sets.get(HEADLINE.features, [])
-        try:
-            return small_clusters_table(self.campaign.features, columns, self.rng)
-        except ClusteringError as error:
-            return pd.DataFrame([{"note": str(error)}])
+        of_all = (scores, self.campaign, effects)
+        return scores, {
+            "aspects": aspects_table(*of_all, self.compared, self.rng),
+            "aspects_by_mode": aspects_by_mode(*of_all, self.rng),
+            "task_uncertainty": effects.table(),
+        }
 
     def checks(
         self, headline: HeldOutScores, table: pd.DataFrame, differences: Sequence[str] | None
-    ) -> list[integrity.IntegrityCheck]:
+    ) -> list[integrity_checks.IntegrityCheck]:
         """Return all integrity checks of the headline."""
         self.progress("integrity checks")
         campaign, columns = self.campaign, self.sets.get(HEADLINE.features, [])
@@ -350,11 +324,11 @@ class _Steps:
         of_shortcuts = table[(table["features"] == "shortcuts") & (table["scope"] == ALL_MODES)]
         area = Estimate.of_row(of_shortcuts.iloc[0], "auc") if len(of_shortcuts) else NOTHING
         return [
-            integrity.same_between_sessions(headline, campaign, rng),
-            integrity.equal_graphs(differences),
-            integrity.label_above_session(campaign, columns, self.folds, self.seed),
-            integrity.shuffled_labels(campaign, columns, detector, block_folds, rng),
-            integrity.hard_negatives(headline, campaign, rng),
-            integrity.shortcuts_are_separate(campaign.features, columns, area),
-            integrity.unaltered_runs_alike(campaign, columns),
+            integrity_checks.same_between_sessions(headline, campaign, rng),
+            integrity_checks.equal_graphs(differences),
+            integrity_checks.label_above_session(campaign, columns, self.folds, self.seed),
+            integrity_checks.shuffled_labels(campaign, columns, detector, block_folds, rng),
+            integrity_checks.hard_negatives(headline, campaign, rng),
+            integrity_checks.shortcuts_are_separate(campaign.features, columns, area),
+            integrity_checks.unaltered_runs_alike(campaign, columns),
         ]

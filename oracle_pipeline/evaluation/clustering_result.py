@@ -10,7 +10,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import pdist
 
 from oracle_pipeline.bootstrap import DistinctRuns, distinct_runs, lacking
-from oracle_pipeline.clustering.grid import Metric, in_metric
+from oracle_pipeline.clustering.grid_settings import Metric, in_metric
 from oracle_pipeline.clustering.scores import hac_height, outside_largest
 from oracle_pipeline.clustering.tree import ClusteringError, Criterion, Linkage, Tree, grow_tree
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
@@ -21,7 +21,7 @@ from oracle_pipeline.evaluation.metrics import (
     false_positive_rate,
     true_positive_rate,
 )
-from oracle_pipeline.evaluation.variants import CORRECTED, Variant
+from oracle_pipeline.evaluation.variants import CORRECTED, MethodVariant
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ def grow_over_runs(
     rows: pd.DataFrame,
     columns: Sequence[str],
     method: Linkage,
-    variant: Variant = CORRECTED,
+    variant: MethodVariant = CORRECTED,
     metric: Metric = "euclidean",
 ) -> Tree:
     """Agglomerate rows; the tree's leaves are their distinct runs, in the order of `distinct_runs`.
@@ -132,7 +132,7 @@ def cluster_and_judge(
     method: Linkage = "ward",
     criterion: Criterion = "maxclust",
     t: float = 2.0,
-    variant: Variant = CORRECTED,
+    variant: MethodVariant = CORRECTED,
     metric: Metric = "euclidean",
 ) -> ClusteringResult:
     """Cluster rows and compute the metrics; a failure gives a result with the reason.
@@ -147,7 +147,7 @@ def cluster_and_judge(
         Draws the resamples for the intervals.
     method, criterion, t
         How the tree is grown and cut.
-    variant : Variant
+    variant : MethodVariant
         Selects the columns and how the best cluster is found.
     metric : {"euclidean", "cosine", "correlation"}
         Distance metric. The thesis's numbering of clusters is always euclidean.

@@ -11,10 +11,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.datasets import DatasetError, is_hard_negative
-from oracle_pipeline.detectors import DetectorError, panel
-from oracle_pipeline.evaluation.comparisons import HEADLINE, RATES, Scorer, scorers
+from oracle_pipeline.evaluation.comparisons import HEADLINE, RATES
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate, clopper_pearson
-from oracle_pipeline.evaluation.held_out import calibration_runs, held_out
+from oracle_pipeline.evaluation.held_out import calibration_runs
 from oracle_pipeline.evaluation.reference_scores import reference_scores
 from oracle_pipeline.evaluation.splits import (
     BLOCK,
@@ -27,7 +26,7 @@ from oracle_pipeline.scoring.conformal import check_support, runs_needed
 from oracle_pipeline.scoring.feature_sets import feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
-ORACLE, OPERATOR = [*Scorer._fields, "split"], ["scenario", "parameter"]
+OPERATOR = ["scenario", "parameter"]
 REQUIRED = ("scenario", "parameter", "value", "changed_messages")
 DETECTABLE = 0.9  # detection rate from which a magnitude counts as detectable
 
@@ -35,12 +34,11 @@ DETECTABLE = 0.9  # detection rate from which a magnitude counts as detectable
 def kill_matrix(
     campaign: MeasuredRuns, grid: MeasuredRuns, seed: int, rate: float = RATES[0]
 ) -> pd.DataFrame:
-    """Return how many runs of each magnitude each oracle kills.
+    """Return how many runs of each magnitude the headline's scorer kills.
 
-    Oracles are the scorers of the evaluation, and the headline's scorer once more without hard
-    negatives in its training (``split``), since an oracle fitted on harmless changes accepts weaker
-    attacks. They are fitted and calibrated on normal runs of blocks that the grid does not use: a
-    grid made offline mutates runs of the campaign.
+    It is learned once with hard negatives and once without (``split``), since an oracle that knows
+    harmless changes accepts weaker attacks. It learns from normal runs of blocks that the grid does
+    not use: a grid made offline mutates runs of the campaign.
 
     Parameters
     ----------
@@ -49,14 +47,14 @@ def kill_matrix(
         The grid's runs with the same features and the columns ``scenario``, ``parameter``,
         ``value`` (magnitude, growing with strength) and ``changed_messages``.
     seed : int
-        Of the split and of randomised detectors.
+        Of the split.
     rate : float
         False positive rate of the verdicts.
 
     Returns
     -------
     DataFrame
-        A row for each oracle, scenario, parameter and value, with ``mutants``, ``equivalent``,
+        A row for each split, scenario, parameter and value, with ``mutants``, ``equivalent``,
         ``killed`` and the estimate ``kill_rate`` among those that are not equivalent.
 
     Raises
@@ -75,28 +73,20 @@ def kill_matrix(
             f"The grid lacks the columns {', '.join(absent[:5])}; use the index that "
             "`oracle-sim grid` writes, and extract its features with the campaign's plugins."
         )
-    runs, detectors = campaign.concat(grid), panel(seed)
+    runs = campaign.concat(grid)
     mutants = np.arange(len(runs.features)) >= len(campaign.features)
     fold = _fold(runs, mutants, seed)
-    oracles = [(scorer, BLOCK, [fold]) for scorer in scorers(detectors, sets)]
     check_support(calibration_runs([fold]), rate)
+    splits = {BLOCK: [fold]}
     plain = without_hard_negatives(runs.features, [fold])
     if is_hard_negative(campaign.features).any() and calibration_runs(plain) >= runs_needed(rate):
-        oracles.append((HEADLINE, HARMLESS, plain))
+        splits[HARMLESS] = plain
     tables = []
-    for scorer, split, folds in oracles:
-        try:
-            columns, detector = sets[scorer.features], detectors[scorer.detector]
-            scores = (
-                reference_scores(runs, folds, scorer.features)
-                if scorer.is_of_card
-                else held_out(runs, columns, detector, folds, scorer.level)
-            )
-        except DetectorError:
-            continue  # its row in the evaluation's table gives the reason
-        verdicts = grid.features[list(REQUIRED)].assign(killed=scores.p[mutants] <= rate)
-        tables.append(_counted(verdicts).assign(**scorer._asdict(), split=split))
-    columns = [*ORACLE, *OPERATOR, "value", "mutants", "equivalent", "killed"]
+    for split, folds in splits.items():
+        killed = reference_scores(runs, folds, HEADLINE.features).p[mutants] <= rate
+        verdicts = grid.features[list(REQUIRED)].assign(killed=killed)
+        tables.append(_counted(verdicts).assign(split=split))
+    columns = ["split", *OPERATOR, "value", "mutants", "equivalent", "killed"]
     kills = pd.concat(tables, ignore_index=True)
     return kills[[*columns, "kill_rate", "kill_rate_low", "kill_rate_high"]]
 
@@ -127,7 +117,7 @@ def _counted(verdicts: pd.DataFrame) -> pd.DataFrame:
 
 
 def mutation_scores(kills: pd.DataFrame) -> pd.DataFrame:
-    """Return for each oracle the share of mutants that it kills, equivalent ones left out.
+    """Return the share of mutants that are killed in each split, equivalent ones left out.
 
     Parameters
     ----------
@@ -135,18 +125,16 @@ def mutation_scores(kills: pd.DataFrame) -> pd.DataFrame:
         From `kill_matrix`.
     """
     rows = []
-    for oracle, of in kills.groupby(ORACLE, sort=False):
+    for split, of in kills.groupby("split", sort=False):
         mutants, killed = int((of["mutants"] - of["equivalent"]).sum()), int(of["killed"].sum())
         score = clopper_pearson(killed / mutants, mutants) if mutants else NOTHING
-        place = dict(zip(ORACLE, oracle, strict=True))
-        rows.append(
-            place | {"mutants": mutants, "killed": killed} | score.columns("mutation_score")
-        )
+        counts = {"split": split, "mutants": mutants, "killed": killed}
+        rows.append(counts | score.columns("mutation_score"))
     return pd.DataFrame(rows)
 
 
 def minimum_detectable(kills: pd.DataFrame) -> pd.DataFrame:
-    """Return for each oracle and operator the smallest magnitude that is detected reliably.
+    """Return for each split and operator the smallest magnitude that is detected reliably.
 
     This is the smallest magnitude of the grid from which on at least 0.9 of the mutants are killed;
     NaN if there is none. The true value lies between it and the next smaller magnitude of the grid
@@ -158,7 +146,7 @@ def minimum_detectable(kills: pd.DataFrame) -> pd.DataFrame:
         From `kill_matrix`.
     """
     rows = []
-    for place, of in kills.groupby([*ORACLE, *OPERATOR], sort=False):
+    for place, of in kills.groupby(["split", *OPERATOR], sort=False):
         counted = of[of["mutants"] > of["equivalent"]].sort_values("value")
         values = [0.0, *counted["value"]]
         missed = np.flatnonzero(counted["kill_rate"].to_numpy() < DETECTABLE)
@@ -167,6 +155,6 @@ def minimum_detectable(kills: pd.DataFrame) -> pd.DataFrame:
         if first < len(values):
             magnitude = Estimate(values[first], values[first - 1], values[first])
         rows.append(
-            dict(zip([*ORACLE, *OPERATOR], place, strict=True)) | magnitude.columns("magnitude")
+            dict(zip(["split", *OPERATOR], place, strict=True)) | magnitude.columns("magnitude")
         )
     return pd.DataFrame(rows)

@@ -12,7 +12,7 @@ from oracle_pipeline.bootstrap import lacking
 from oracle_pipeline.datasets import HARD_NEGATIVE, feature_columns, is_malicious
 from oracle_pipeline.evaluation.audit import blocks_needed
 from oracle_pipeline.evaluation.comparisons import BLOCKS_NEEDED, RATES, SHADOW
-from oracle_pipeline.evaluation.integrity import (
+from oracle_pipeline.evaluation.integrity_checks import (
     FALSE_ALARMS,
     IntegrityCheck,
     blocks_to_exclude,

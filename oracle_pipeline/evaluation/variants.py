@@ -33,7 +33,7 @@ _SLICES: dict[FeatureSet, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Variant:
+class MethodVariant:
     """One variant of the path from runs to clustered rows, and to the cluster that is judged.
 
     Parameters
@@ -111,7 +111,7 @@ def _sample(df: pd.DataFrame, n: int, malicious_rate: float, seed: int) -> pd.Da
     return pd.concat(parts, ignore_index=True)
 
 
-CORRECTED = Variant(
+CORRECTED = MethodVariant(
     name="corrected",
     whole_runs=lambda df: df,
     columns=_families,
@@ -119,7 +119,7 @@ CORRECTED = Variant(
     matrix=scale_rows,
     first_clusters_only=False,
 )
-THESIS = Variant(
+THESIS = MethodVariant(
     name="thesis",
     whole_runs=_of_whole_vectors,
     columns=lambda _, features: list(_SLICES[features]),
@@ -127,4 +127,4 @@ THESIS = Variant(
     matrix=lambda rows, columns: rows[list(columns)].to_numpy(dtype=np.float64),
     first_clusters_only=True,
 )
-VARIANTS: dict[VariantName, Variant] = {"corrected": CORRECTED, "thesis": THESIS}
+VARIANTS: dict[VariantName, MethodVariant] = {"corrected": CORRECTED, "thesis": THESIS}

@@ -29,7 +29,7 @@ from oracle_pipeline.features.engine.plugin import Series
 from oracle_pipeline.features.geometry.wgs84 import Site, cartesian
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, drawing
-from oracle_pipeline.reporting.report import ReportError
+from oracle_pipeline.reporting.stored_report import ReportError
 
 TRACKS, REPORT = "atc_msgs/msg/TrackArray", "atc_msgs/msg/AdsbReport"
 ECHO, REPLY = "atc_msgs/msg/RadarPlot", "atc_msgs/msg/SecondaryReply"
@@ -50,7 +50,7 @@ _INKS: dict[str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Track:
+class RadarTrack:
     """One track of the fusion; positions are north + i east of the antenna [km]."""
 
     label: str
@@ -64,7 +64,7 @@ class Display:
     """The display at one instant; positions are north + i east of the antenna [km]."""
 
     title: str
-    tracks: Sequence[Track]
+    tracks: Sequence[RadarTrack]
     reports: NDArray[np.complex128]  # (n,), of the last two minutes
     plots: NDArray[np.complex128]  # (m,), of both radars in the last two minutes
 
@@ -169,14 +169,14 @@ def _flights(reports: Sequence[Any]) -> dict[str, ReportedFlight]:
     return flights(Series(rows[:, 1].astype(np.float64), rows))
 
 
-def _tracks(arrays: Sequence[Any], antenna: Site) -> list[Track]:
+def _tracks(arrays: Sequence[Any], antenna: Site) -> list[RadarTrack]:
     """Return the tracks of the newest array, with their earlier positions."""
     positions = defaultdict(list)
     for array in arrays:
         for track in array.tracks:
             positions[track.track_id].append((track.latitude, track.longitude, track.altitude_m))
     return [
-        Track(
+        RadarTrack(
             _label(track),
             _seen_by(track.sources),
             _places(positions[track.track_id], antenna),

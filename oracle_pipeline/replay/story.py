@@ -19,7 +19,7 @@ from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.features.engine.point_clouds import sliced
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.replay.scene import DrawnGrid, Moment, ReplayScene
-from oracle_pipeline.reporting.report import ReportError
+from oracle_pipeline.reporting.stored_report import ReportError
 from oracle_pipeline.robots.robot import find_robots
 from oracle_pipeline.robots.roles import (
     BEHAVIOR_TREE,

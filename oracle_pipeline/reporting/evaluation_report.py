@@ -7,16 +7,15 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.datasets import KEYS, content_hash, is_malicious
-from oracle_pipeline.evaluation import integrity
+from oracle_pipeline.evaluation import integrity_checks
 from oracle_pipeline.evaluation.campaign_evaluation import CampaignEvaluation
 from oracle_pipeline.evaluation.comparisons import HEADLINE, RATES
-from oracle_pipeline.evaluation.curves import Curve, HeadlineCurves
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.kill_rates import minimum_detectable, mutation_scores
 from oracle_pipeline.evaluation.open_claims import as_table
 from oracle_pipeline.evaluation.ranking import Ranking, standing
 from oracle_pipeline.reporting import charts
-from oracle_pipeline.reporting.report import Report, facts
+from oracle_pipeline.reporting.stored_report import Report, facts
 from oracle_pipeline.scoring.feature_sets import ASPECTS
 
 
@@ -24,14 +23,12 @@ def evaluation_report(evaluation: CampaignEvaluation) -> Report:
     """Return the report on an evaluation.
 
     The main table has a row for each scorer, split and comparison, the headline first. Further
-    tables are ``alarms``, ``aspects``, ``aspects_by_mode``, ``quadrants``, ``task_uncertainty``,
-    ``task_differences``, ``audit``, ``small_clusters``, ``checks``, ``open_claims``, ``runs``,
-    ``raised``, ``standing`` and, with a grid, ``kills``, ``mutation_scores`` and
-    ``minimum_detectable``.
+    tables are ``alarms``, ``aspects``, ``aspects_by_mode``, ``task_uncertainty``,
+    ``task_differences``, ``checks``, ``open_claims``, ``runs``, ``raised``, ``standing`` and, with
+    a grid, ``kills``, ``mutation_scores`` and ``minimum_detectable``.
     """
-    return Report(
-        evaluation.table, _pictures(evaluation), _summary(evaluation), _tables(evaluation)
-    )
+    pictures = {"roc": charts.roc_curves(evaluation.curves)} if evaluation.curves else {}
+    return Report(evaluation.table, pictures, _summary(evaluation), _tables(evaluation))
 
 
 def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
@@ -41,8 +38,6 @@ def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
         "alarms": evaluation.alarms,
         **evaluation.aspects,
         "task_differences": evaluation.effects.differences.assign(run_id=runs["run_id"]),
-        "audit": evaluation.audit,
-        "small_clusters": evaluation.small_clusters,
         "checks": pd.DataFrame([check.columns() for check in evaluation.checks]),
         "open_claims": as_table(evaluation.open_claims),
         "runs": runs,
@@ -92,7 +87,7 @@ def _raised(evaluation: CampaignEvaluation) -> pd.DataFrame:
 def _summary(evaluation: CampaignEvaluation) -> dict[str, float | int | str]:
     campaign, first_row = evaluation.campaign, evaluation.table.iloc[0]
     area = Estimate.of_row(first_row, "auc")
-    doubts = integrity.banner(evaluation.checks)
+    doubts = integrity_checks.banner(evaluation.checks)
     runs = _judged(evaluation)
     return {
         "headline": in_words(area) if area_is_claimed(evaluation) else ranked(Ranking.of(runs)),
@@ -113,7 +108,7 @@ def _summary(evaluation: CampaignEvaluation) -> dict[str, float | int | str]:
 
 def area_is_claimed(evaluation: CampaignEvaluation) -> bool:
     """Return whether there is an AUC and every integrity check is green."""
-    return bool(np.isfinite(evaluation.table["auc"].iloc[0])) and not integrity.banner(
+    return bool(np.isfinite(evaluation.table["auc"].iloc[0])) and not integrity_checks.banner(
         evaluation.checks
     )
 
@@ -173,41 +168,3 @@ def in_words(area: Estimate) -> str:
     if area.low < 0.85:
         return f"Attacked runs stand out, but not reliably: AUC {area}, above chance."
     return f"Attacked runs stand out clearly: AUC {area}."
-
-
-def _pictures(evaluation: CampaignEvaluation) -> dict[str, bytes]:
-    pictures = _headline_pictures(evaluation.curves) if evaluation.curves else {}
-    return pictures | (_kill_pictures(evaluation.kills) if evaluation.kills is not None else {})
-
-
-def _headline_pictures(curves: HeadlineCurves) -> dict[str, bytes]:
-    """Draw ROC curves, detection rate over false positive rate, and effort."""
-    pictures = {"roc": charts.roc_curves(curves.roc)}
-    if curves.detection:
-        pictures["detection"] = charts.curves(
-            curves.detection, "nominal false positive rate", "share called anomalous", log=True
-        )
-    return pictures | {
-        "effort": charts.curves(
-            {"by score": Curve(*curves.effort)},
-            "share of runs inspected",
-            "share of attacks found",
-        ),
-    }
-
-
-def _kill_pictures(kills: pd.DataFrame) -> dict[str, bytes]:
-    """Draw a heat map and the headline detector's curves for each operator of the grid."""
-    pictures = {}
-    for (scenario, parameter), of in kills.groupby(["scenario", "parameter"], sort=False):
-        pictures[f"kills_{scenario}_{parameter}"] = charts.kill_heat_map(of)
-        shown = of[(of["detector"] == HEADLINE.detector) & (of["level"] == HEADLINE.level)]
-        measures = ["value", "kill_rate", "kill_rate_low", "kill_rate_high"]
-        lines = {
-            charts.oracle_name(line.iloc[0]): Curve(*line[measures].to_numpy().T)
-            for _, line in shown.groupby(["features", "split"], sort=False)
-        }
-        pictures[f"magnitude_{scenario}_{parameter}"] = charts.curves(
-            lines, f"{parameter} of {scenario}", "detection rate", log=True
-        )
-    return pictures

@@ -1,108 +1,39 @@
 """The report's main page: the first screen, the evidence, and the method in folded sections.
 
 It loads nothing from the network. Its content comes from ``evaluation_report`` and
-``thesis_reports``; ``first_screen`` assembles the first screen and ``page_tables`` selects the
-tables. The template is ``templates/report.html.j2``. ``run_pages`` writes the pages of runs.
+``thesis_reports``, and the layout is ``templates/report.html.j2``. ``run_pages`` writes the pages
+of runs.
 """
 
 import platform
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
 
 import pandas as pd
 
 from oracle_pipeline.datasets import content_hash, replacing
+from oracle_pipeline.evaluation.comparisons import ALL_MODES, HARD_NEGATIVES, HEADLINE
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.metrics import RESAMPLES
-from oracle_pipeline.reporting import page_tables
+from oracle_pipeline.evaluation.splits import BLOCK
 from oracle_pipeline.reporting.explanation import Explanation
-from oracle_pipeline.reporting.first_screen import Recorder, first_screen, run_page
-from oracle_pipeline.reporting.oracle_kinds import tables_of_kinds
-from oracle_pipeline.reporting.page import Picture, picture, run_picture, template
-from oracle_pipeline.reporting.page_tables import PageTable
-from oracle_pipeline.reporting.report import Report
+from oracle_pipeline.reporting.first_screen import Recorder, first_screen
+from oracle_pipeline.reporting.kinds_tables import tables_of_kinds
 from oracle_pipeline.reporting.searched import Searched
+from oracle_pipeline.reporting.stored_report import Report
+from oracle_pipeline.reporting.tables import (
+    PageColumn,
+    PageTable,
+    evidence_table,
+    plain_table,
+    table,
+)
+from oracle_pipeline.reporting.templating import Picture, picture, run_picture, template
 
 LIBRARIES = ("numpy", "scipy", "scikit-learn", "pandas", "networkx", "matplotlib", "mujoco")
 NO_STORAGE = pd.DataFrame()
-
-
-class CheckLine(NamedTuple):
-    """One integrity check, as text."""
-
-    name: str
-    status: str  # green, red or unsupported
-    sentence: str
-
-
-class ExplainedRun(NamedTuple):
-    """One run explained."""
-
-    run_id: str
-    page: str
-    verdict: str
-    table: PageTable
-    notes: Sequence[str]
-    pictures: Sequence[Picture]
-
-
-# Anchor and heading of each section.
-_SECTIONS = {
-    "verdicts": "What is detected",
-    "giveaways": "Features that show each attack",
-    "explained": "Attacked runs explained",
-    "searched": "Attacks that a search found",
-    "alarms": "Time to detect",
-    "curves": "Detection against false alarms",
-    "integrity": "Integrity checks",
-    "scorers": "Detectors and families of features",
-    "kinds": "Kinds of oracle side by side",
-    "magnitude": "How weak an attack is still detected",
-    "effort": "Inspection effort",
-    "radar": "A radar display with and without a ghost",
-    "trees": "Dendrograms",
-    "thesis": "The thesis's method on these runs",
-    "storage": "Storage",
-    "reading": "How to read this",
-    "provenance": "Provenance",
-}
-
-# Title and caption, by the name of a figure or the part before its first underscore.
-_CAPTIONS = {
-    "roc": ("ROC curves", "ROC curves with 95% bands from resampled blocks; dotted: chance"),
-    "detection": (
-        "Detection rate over false positive rate",
-        "Share of runs called anomalous over the nominal false positive rate, with 95% bands; "
-        "normal runs should lie on or below the nominal rate",
-    ),
-    "effort": (
-        "Effort curve",
-        "Attacks found by inspecting the most suspicious runs first",
-    ),
-    "kills": ("Kill matrix", "Kill matrix: share of mutants that each oracle calls anomalous"),
-    "magnitude": (
-        "Detection rate over magnitude",
-        "Detection rate over the magnitude of the attack, by family, with 95% intervals",
-    ),
-    "grid": (
-        "Heat map of the grid search",
-        "Balanced accuracy of the verdict without labels; 0.5 is chance",
-    ),
-    "rates": (
-        "Recall and false alarms by share of malicious rows",
-        "Recall and false alarms of the best cluster; equal rates mean no separation",
-    ),
-    "pairs": (
-        "AUC by pair and features",
-        "The thesis's AUC, of a hard verdict chosen with labels, ours and its own",
-    ),
-    "reproduced": (
-        "AUC of the thesis, reproduced and printed",
-        "The thesis's AUC: reproduced on our runs, and as printed",
-    ),
-}
+_SCORER = [*HEADLINE._fields, "split"]
 
 
 def render(
@@ -147,46 +78,43 @@ def render(
     searched : Searched, optional
         Results of searches for attacks.
     """
-    tables = {
-        **page_tables.of_evaluation(evaluation),
-        **tables_of_kinds(evaluation),
-        **page_tables.of_thesis(
-            grid_search=grid,
-            rates=rates,
-            pairs=pairs,
-            side_by_side=side_by_side,
-            null_model=null_model,
-        ),
-        "giveaways": page_tables.of_giveaways(giveaways),
-        "storage": page_tables.of_any("Storage", storage),
-    }
-    content = {
-        "giveaways": len(giveaways) > 0,
-        "curves": _charts(evaluation, "roc", "detection"),
-        "kinds": "oracle_kinds" in tables,
-        "magnitude": "kills" in tables,
-        "explained": [_explained(each) for each in explained],
-        "radar": [run_picture(run, png) for run, png in radar.items()],
-        "trees": [*_dendrograms(grid), *_dendrograms(pairs)],
-        "storage": len(storage) > 0,
-        "searched": searched,
+    thesis = {
+        "grid": grid,
+        "rates": rates,
+        "pairs": pairs,
+        "side_by_side": side_by_side,
+        "null_model": null_model,
     }
     return template("report.html.j2").render(
         screen=first_screen(evaluation, record),
         arrived=arrived,
         scorer=evaluation.summary["scorer"],
-        checks=_checks(evaluation),
-        sections={name: title for name, title in _SECTIONS.items() if content.get(name, True)},
-        content=content,
-        tables=tables,
-        charts={
-            "magnitude": _charts(evaluation, "kills", "magnitude"),
-            "effort": _charts(evaluation, "effort"),
-            "side_by_side": _charts(side_by_side, "reproduced"),
-            "grid": _charts(grid, "grid", "roc"),
-            "rates": _charts(rates, "rates"),
-            "pairs": _charts(pairs, "pairs"),
+        checks=evaluation.tables["checks"].to_dict("records"),
+        explained=[
+            (
+                each,
+                evidence_table(f"What is unusual in {each.run_id}", each.evidence),
+                [run_picture(run, png) for run, png in each.pictures.items()],
+            )
+            for each in explained
+        ],
+        searched=searched,
+        tables={
+            **_tables_of_evaluation(evaluation),
+            **tables_of_kinds(evaluation.tables),
+            **{name: table(name, report.table) for name, report in thesis.items()},
+            "giveaways": _table_of_giveaways(giveaways),
+            "storage": plain_table("Storage", storage),
         },
+        roc={"evaluation": evaluation.figures.get("roc"), "grid": grid.figures.get("roc")},
+        forest={
+            "rates": rates.figures["rates"],
+            "pairs": pairs.figures["pairs"],
+            "side_by_side": side_by_side.figures["reproduced"],
+        },
+        radar=[run_picture(run, png) for run, png in radar.items()],
+        trees=[*_dendrograms(grid), *_dendrograms(pairs)],
+        picture=picture,
         warning=side_by_side.summary["warning"],
         null_headline=null_model.summary["headline"],
         reading=_thesis_reading(pairs.table.iloc[0]),
@@ -209,11 +137,52 @@ def provenance(df: pd.DataFrame) -> dict[str, str]:
     }
 
 
-def _checks(evaluation: Report) -> list[CheckLine]:
-    return [
-        CheckLine(row["name"].replace("_", " "), row["status"], row["sentence"])
-        for _, row in evaluation.tables["checks"].iterrows()
-    ]
+def _tables_of_evaluation(evaluation: Report) -> dict[str, PageTable]:
+    """Return the tables of `oracle_evaluation` by name."""
+    judged, further = evaluation.table, evaluation.tables
+    headline = _rows(judged, **HEADLINE._asdict())
+    overall = headline["scope"].isin([ALL_MODES, HARD_NEGATIVES])
+    headline = headline[(headline["split"] == BLOCK) | overall]
+    scopes = [scope for scope in headline["scope"] if "/" in scope]
+    areas = [PageColumn(scope, scope) for scope in scopes]
+    by_family = _rows(judged, detector=HEADLINE.detector, level=HEADLINE.level, split=BLOCK)
+    tables = {
+        "verdicts": table("verdicts", headline),
+        "scorers": table("scorers", _rows(judged, scope=ALL_MODES)),
+        "families": table("families", _areas(by_family, scopes), areas),
+        "areas": table("areas", _areas(judged, scopes), areas),
+    }
+    for name in ("alarms", "aspects", "aspects_by_mode", "minimum_detectable", "mutation_scores",
+                 "kills"):  # fmt: skip
+        if name in further:
+            tables[name] = table(name, further[name])
+    return tables
+
+
+def _rows(table: pd.DataFrame, **values: str) -> pd.DataFrame:
+    """Return the rows that have these values."""
+    return table[(table[list(values)] == list(values.values())).all(axis=1)]
+
+
+def _areas(judged: pd.DataFrame, scopes: Sequence[str]) -> pd.DataFrame:
+    """Return one row for each scorer, with its AUC in each scope under the scope's name."""
+    joined = judged[_SCORER].drop_duplicates().set_index(_SCORER)
+    for scope in scopes:
+        of_scope = judged[judged["scope"] == scope].set_index(_SCORER)
+        for end in ("", "_low", "_high"):
+            joined[f"{scope}{end}"] = of_scope[f"auc{end}"]
+    return joined.reset_index()
+
+
+def _table_of_giveaways(giveaways: pd.DataFrame) -> PageTable:
+    """Return the features that show each attacked mode; only its first row has the mode's name."""
+    text = giveaways.astype(str)
+    shown = giveaways.assign(
+        mode=text["mode"].mask(giveaways.duplicated("mode"), ""),
+        outside=text["outside"] + " of " + text["runs"],
+        normal=text["outside_normal"] + " of " + text["normal"],
+    )
+    return table("giveaways", shown)
 
 
 def _draws(pairs: Report, evaluation: Report) -> dict[str, str]:
@@ -234,37 +203,9 @@ def _thesis_reading(row: pd.Series) -> str:
     )
 
 
-def _explained(explanation: Explanation) -> ExplainedRun:
-    return ExplainedRun(
-        explanation.run_id,
-        run_page(explanation.run_id),
-        explanation.verdict,
-        page_tables.of_explanation(explanation),
-        explanation.notes,
-        [run_picture(run, png) for run, png in explanation.pictures.items()],
-    )
-
-
-def _charts(report: Report, *kinds: str) -> list[Picture]:
-    """Return a report's figures of some kinds; names after the underscore go into the captions."""
-    charts = []
-    for kind in kinds:
-        alt, caption = _CAPTIONS[kind]
-        for name in _named(report.figures, kind):
-            which = name.removeprefix(kind).lstrip("_").replace("_", " ")
-            detail = f": {which}" if which else ""
-            charts.append(picture(f"{alt}{detail}", f"{caption}{detail}", report.figures[name]))
-    return charts
-
-
-def _named(figures: Iterable[str], kind: str) -> list[str]:
-    return [name for name in figures if name == kind or name.startswith(f"{kind}_")]
-
-
 def _dendrograms(report: Report) -> list[Picture]:
-    kind = "dendrogram_"
-    names = sorted(name for name in report.figures if name.startswith(kind))
     return [
-        picture(f"Dendrogram, {of}", of, report.figures[f"{kind}{of}"])
-        for of in (name.removeprefix(kind) for name in names)
+        picture(f"Dendrogram, {of}", of, png)
+        for name, png in sorted(report.figures.items())
+        if (of := name.removeprefix("dendrogram_")) != name
     ]

@@ -78,10 +78,10 @@ def kinds(
         oracle kinds tonight/ --reference good_bags/ --requirements my_robot.yaml
     """  # noqa: D301 -- click reads the control character
     from oracle_pipeline.bags.terminal import progress_bar
-    from oracle_pipeline.evaluation.oracle_kinds import by_cards, compare_kinds
+    from oracle_pipeline.evaluation.kinds_comparison import by_cards, compare_kinds
     from oracle_pipeline.oracles import human
     from oracle_pipeline.oracles.registry import build_kinds
-    from oracle_pipeline.reporting.kinds_text import as_json, as_text
+    from oracle_pipeline.reporting.kinds_tables import as_json, as_text
 
     given = human.load_answers(answers) if answers else {}
     material = _material(recordings, reference, requirements, given, traces)

@@ -8,25 +8,22 @@ import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.scratch import replaced_folder
 from oracle_pipeline.detectors import Deviation, by_family
 from oracle_pipeline.evaluation.comparisons import RATES
 from oracle_pipeline.evaluation.unusual_windows import UnusualWindows
 from oracle_pipeline.features import FeatureTables
-from oracle_pipeline.reporting import page_tables
-from oracle_pipeline.reporting.first_screen import run_page
+from oracle_pipeline.reporting.explanation import drawn
 from oracle_pipeline.reporting.heat_strip import HeatStrip, heat_strip
-from oracle_pipeline.reporting.page import Picture, run_picture, template
-from oracle_pipeline.reporting.page_tables import PageTable
-from oracle_pipeline.reporting.report import Report
+from oracle_pipeline.reporting.stored_report import Report
+from oracle_pipeline.reporting.tables import PageTable, evidence_table, table
+from oracle_pipeline.reporting.templating import run_page, run_picture, template
 from oracle_pipeline.reporting.two_scores import scores_table, task_table
 from oracle_pipeline.scoring.evidence import farthest_features
 from oracle_pipeline.scoring.feature_sets import feature_sets
@@ -54,42 +51,6 @@ class ShownRuns:
     picture: Callable[[str], bytes]  # PNG; raises `OracleError` if there is none
 
 
-class JudgedTables(NamedTuple):
-    """Results of the evaluation for single runs."""
-
-    runs: pd.DataFrame  # by run, with the rank of its score
-    scored: int
-    differences: pd.DataFrame  # from unaltered runs, by run
-    uncertainty: Mapping[str, float]  # of the differences, by quantity
-    raised: pd.DataFrame  # alarms
-
-    @classmethod
-    def of(cls, evaluation: Report) -> "JudgedTables":
-        """Return the tables of an evaluation, indexed by run."""
-        tables = evaluation.tables
-        runs, usual = tables["runs"], tables["task_uncertainty"]
-        ranks = runs.assign(rank=runs["score"].rank(ascending=False))
-        return cls(
-            runs=ranks.set_index("run_id"),
-            scored=int(runs["score"].notna().sum()),
-            differences=tables["task_differences"].set_index("run_id"),
-            uncertainty=dict(zip(usual["quantity"], usual["uncertainty"], strict=True)),
-            raised=tables["raised"],
-        )
-
-
-class RunLine(NamedTuple):
-    """A run in the list of all runs."""
-
-    run: str
-    page: str  # relative to the list
-    label: str
-    cells: Sequence[str]
-
-
-LIST = ("score", "p", "p tampered", "p misbehaved", "block", "session", "ended", "recorded")
-
-
 def write_run_pages(shown: ShownRuns, folder: Path) -> int:
     """Write the pages of all runs, replacing existing ones; return the number of runs.
 
@@ -99,115 +60,66 @@ def write_run_pages(shown: ShownRuns, folder: Path) -> int:
     folder : Path
         The folder ``runs`` of the report, on this machine.
     """
+    runs = shown.evaluation.tables["runs"].sort_values("score", ascending=False)
+    links = [_place(run) for run in runs["run_id"]]
     with replaced_folder(folder) as new:
         for run, page in _pages(shown):
-            place = new / run_page(run).removeprefix("runs/")
+            place = new / _place(run)
             place.parent.mkdir(exist_ok=True)
             place.write_text(page, encoding="utf-8")
-        listing = template("runs.html.j2").render(
-            heads=LIST, lines=_lines(shown.evaluation.tables["runs"])
-        )
+        listing = template("runs.html.j2").render(listed=table("runs", runs, links=links))
         (new / "index.html").write_text(listing, encoding="utf-8")
     return len(shown.measured.features)
 
 
-def _lines(judged: pd.DataFrame) -> list[RunLine]:
-    """Return the runs by descending score."""
-    return [
-        RunLine(
-            run["run_id"],
-            run_page(run["run_id"]).removeprefix("runs/"),
-            run["label"],
-            (
-                _number(run["score"]),
-                _number(run["p"]),
-                _number(run["tampering_p"]),
-                _number(run["misbehaviour_p"]),
-                str(run["block"]),
-                str(run["session"]),
-                run["outcome"],
-                f"{run['recording_s']:.0f} s",
-            ),
-        )
-        for _, run in judged.sort_values("score", ascending=False).iterrows()
-    ]
-
-
-def _number(value: float) -> str:
-    return page_tables.NO_FIGURE if np.isnan(value) else f"{value:.3g}"
+def _place(run: str) -> str:
+    """Return the page of a run, relative to the list of all runs."""
+    return run_page(run).removeprefix("runs/")
 
 
 def _pages(shown: ShownRuns) -> Iterator[tuple[str, str]]:
     """Yield each run and its page."""
-    measured, tables_of_runs = shown.measured, JudgedTables.of(shown.evaluation)
+    measured, results = shown.measured, shown.evaluation.tables
     features = measured.features
     blocks = features.groupby("block")["run_id"].agg(list)
     windows_of = np.split(np.arange(len(measured.run)), np.cumsum(measured.counts)[:-1])
     columns = feature_sets(features).get("all", [])
+    judged = results["runs"].merge(results["task_differences"], on="run_id").set_index("run_id")
+    judged["rank"] = judged["score"].rank(ascending=False)
+    scored = int(judged["score"].notna().sum())
+    usual = dict(results["task_uncertainty"][["quantity", "uncertainty"]].to_numpy())
+    raised = results["raised"]
     for number, run in enumerate(features["run_id"]):
         row, of_run = features.iloc[[number]], windows_of[number]
         manifest = shown.manifest(run)
         deviations = shown.deviations.get(run, ())
         tables = FeatureTables(row, measured.windows.iloc[of_run])
-        picture, why_not = _picture(shown, run)
-        judged = _judged(tables_of_runs, run, manifest)
+        pictures, undrawn = drawn([run], shown.picture)
+        of_judged = judged.loc[run] if run in judged.index else None
+        alarms_s = raised.loc[raised["run_id"] == run, "at_s"].tolist()
         yield (
             run,
             template("run.html.j2").render(
                 run=run,
                 up=UP,
                 manifest=manifest,
-                verdict=judged.verdict,
-                scores=judged.scores,
-                task=judged.task,
-                facts=_facts(manifest),
+                bag=BAGS[manifest.measured.kept],
+                verdict=_verdict(of_judged, scored),
+                scores=None if of_judged is None else scores_table(of_judged, manifest, usual),
+                task=task_table(of_judged, manifest, usual),
                 goals=_goals(manifest),
-                picture=picture,
-                why_not=why_not,
-                strip=_strip(shown, of_run, manifest, judged.alarms_s),
-                evidence=page_tables.of_evidence(
+                pictures=[run_picture(run, png) for run, png in pictures.items()],
+                undrawn=undrawn,
+                strip=_strip(shown, of_run, manifest, alarms_s),
+                evidence=evidence_table(
                     f"What is unusual in {run}", farthest_features(deviations, tables)
                 ),
-                families=page_tables.of_families(by_family(deviations, columns)),
+                families=_families(deviations, columns),
                 film=_film(shown.path(run), shown.film),
                 replay=f"oracle replay {shlex.quote(str(shown.path(run)))}",
-                beside=[
-                    (other, UP + run_page(other))
-                    for other in blocks[row["block"].iloc[0]]
-                    if other != run
-                ],
+                beside=[other for other in blocks[row["block"].iloc[0]] if other != run],
             ),
         )
-
-
-class JudgedRun(NamedTuple):
-    """Results of the evaluation for one run."""
-
-    verdict: str
-    scores: PageTable | None  # None: the run was not judged
-    task: PageTable
-    alarms_s: Sequence[float]
-
-
-def _judged(tables: JudgedTables, run: str, manifest: Manifest) -> JudgedRun:
-    if run not in tables.runs.index:
-        unknown = pd.Series(dtype=float)
-        return JudgedRun(_verdict(None, 0), None, task_table(manifest, unknown, {}), [])
-    row, differences = tables.runs.loc[[run]].iloc[0], tables.differences.loc[[run]].iloc[0]
-    return JudgedRun(
-        _verdict(row, tables.scored),
-        scores_table(row, manifest, differences, tables.uncertainty),
-        task_table(manifest, differences, tables.uncertainty),
-        tables.raised.loc[tables.raised["run_id"] == run, "at_s"].tolist(),
-    )
-
-
-def _picture(shown: ShownRuns, run: str) -> tuple[Picture | None, str]:
-    """Return the picture of a run, or why there is none."""
-    try:
-        return run_picture(run, shown.picture(run)), ""
-    except (OracleError, OSError) as error:
-        return None, f"It is not drawn: {error}"
 
 
 def _verdict(judged: pd.Series | None, scored: int) -> str:
@@ -223,46 +135,19 @@ def _verdict(judged: pd.Series | None, scored: int) -> str:
     return f"{called} at a false positive rate of {RATES[0]:.0%}: p = {judged['p']:.3g}. {where}"
 
 
-def _facts(manifest: Manifest) -> dict[str, str]:
-    """Return facts about a run, by name."""
-    reached = sum(goal.outcome == "succeeded" for goal in manifest.goal_results)
-    changed = sum(change.messages for change in manifest.changes)
-    facts = {
-        "outcome": f"{manifest.outcome}; {reached} of {len(manifest.goals)} goals reached",
-        "recorded": f"{manifest.recording_s:.1f} s",
-        "block, session, world": f"{manifest.block}, {manifest.session}, {manifest.world}",
-        "contacts": ", ".join(dict.fromkeys(c.piece for c in manifest.contacts)) or "none",
-    }
-    if manifest.label == "malicious":
-        began = "never" if manifest.onset_s is None else f"at {manifest.onset_s:.1f} s"
-        facts["attack began"] = f"{began}; {changed} messages changed"
-    if manifest.attack:
-        facts["attack"] = ", ".join(f"{k} {_value(v)}" for k, v in manifest.attack.items())
-    facts["bag"] = BAGS[manifest.measured.kept]
-    return facts
-
-
-def _value(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
-
-
 def _goals(manifest: Manifest) -> PageTable:
     """Return the result of each goal."""
-    table = pd.DataFrame(
-        [
-            (
-                number,
-                goal.outcome,
-                f"{goal.accepted_s:.1f}",
-                page_tables.NO_FIGURE if goal.ended_s is None else f"{goal.ended_s:.1f}",
-                f"{goal.driven_m:.1f}",
-                goal.recoveries,
-            )
-            for number, goal in enumerate(manifest.goal_results, start=1)
-        ],
-        columns=["goal", "outcome", "accepted [s]", "ended [s]", "driven [m]", "recoveries"],
-    )
-    return page_tables.of_any("Goals", table)
+    results = pd.DataFrame(manifest.goal_results)
+    return table("goals", results.assign(goal=np.arange(1, len(results) + 1)))
+
+
+def _families(deviations: Sequence[Deviation], columns: Sequence[str]) -> PageTable:
+    """Return how many features of each family are unusual."""
+    families = pd.DataFrame(by_family(deviations, columns))
+    if len(families):
+        outside = families["unusual"].astype(str) + " of " + families["compared"].astype(str)
+        families = families.assign(outside=outside)
+    return table("unusual_families", families)
 
 
 def _strip(

@@ -9,8 +9,8 @@ import pandas as pd
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.layout import FINDINGS, FRONT, searches
-from oracle_pipeline.reporting.page import Picture, picture
-from oracle_pipeline.reporting.page_tables import PageTable, of_any
+from oracle_pipeline.reporting.tables import PageTable, plain_table
+from oracle_pipeline.reporting.templating import Picture, picture
 
 
 class Searched(NamedTuple):
@@ -37,7 +37,7 @@ def searched(root: Path) -> Searched | None:
         for folder in folders
         if (png := folder / FRONT).is_file()
     ]
-    return Searched(of_any("Searches", pd.DataFrame(rows)), fronts)
+    return Searched(plain_table("Searches", pd.DataFrame(rows)), fronts)
 
 
 def _row(folder: Path) -> dict[str, Any]:

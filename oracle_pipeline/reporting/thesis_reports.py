@@ -11,17 +11,18 @@ import pandas as pd
 
 from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bootstrap import distinct_runs, lacking
-from oracle_pipeline.clustering.grid import Grid, Measure
+from oracle_pipeline.clustering.grid_settings import GridSettings, Measure
 from oracle_pipeline.clustering.scores import hac_height
 from oracle_pipeline.clustering.tree import ClusteringError
 from oracle_pipeline.datasets import DatasetError, content_hash, is_malicious
 from oracle_pipeline.evaluation.clustering_result import grow_over_runs
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.metrics import RocCurve, auc, roc_curve
-from oracle_pipeline.evaluation.variants import VARIANTS, Variant, VariantName
+from oracle_pipeline.evaluation.variants import VARIANTS, MethodVariant, VariantName
 from oracle_pipeline.reporting import charts, thesis_tables
-from oracle_pipeline.reporting.report import Report, facts
+from oracle_pipeline.reporting.stored_report import Report, facts
 from oracle_pipeline.reporting.thesis_figures import FAMILIES
+from oracle_pipeline.reporting.thesis_tables import Bootstraps
 
 ROWS, MALICIOUS_RATE, SEED = 1000, 0.3, 50  # the thesis's bootstrap
 
@@ -50,9 +51,6 @@ def bootstrapped_dataset(
     rate = float(is_malicious(usable).mean()) if lacks else malicious_rate
     rows = by.draw(usable, n, rate, seed)
     runs = distinct_runs(rows)
-    drawn = rows.iloc[runs.first]
-    X = by.matrix(drawn, by.columns(rows, "all"))
-    picture = charts.principal_components(X, _labels(rows), runs.copies)
     summary: dict[str, float | int | str] = {
         "rows": n,
         "runs": len(runs),
@@ -65,10 +63,10 @@ def bootstrapped_dataset(
         "content_hash": content_hash(rows),
         "note": lacks,
     }
-    return Report(rows, {"principal_components": picture}, summary | _variant_facts(by))
+    return Report(rows, {}, summary | _variant_facts(by))
 
 
-def _variant_facts(variant: Variant) -> dict[str, float | int | str]:
+def _variant_facts(variant: MethodVariant) -> dict[str, float | int | str]:
     """Return the variant of a report and its warning, for a summary."""
     warning = {"warning": THESIS_WARNING} if variant.name == "thesis" else {}
     return {"variant": str(variant.name), **warning}
@@ -78,7 +76,7 @@ def clustering_grid_search(
     rows: pd.DataFrame,
     seed: int = SEED,
     variant: VariantName = "corrected",
-    grid: Grid = thesis_tables.THESIS_GRID,
+    grid: GridSettings = thesis_tables.THESIS_GRID,
 ) -> Report:
     """Cluster the bootstrapped rows with every setting of the grid (the thesis's table 5.1).
 
@@ -89,12 +87,12 @@ def clustering_grid_search(
     seed : int
         Of the resamples for the intervals.
     variant : {"corrected", "thesis"}
-    grid : Grid
+    grid : GridSettings
     """
     by = VARIANTS[variant]
     rng = np.random.default_rng(seed)
     table = thesis_tables.grid_search_table(rows, rng, by, grid)
-    pictures = {"grid": charts.grid_heat_map(table)}
+    pictures: dict[str, bytes] = {}
     curves: dict[str, tuple[RocCurve, Estimate]] = {}
     runs = distinct_runs(rows)
     for method in grid.linkages:
@@ -154,7 +152,8 @@ def malicious_rate_report(
     variant : {"corrected", "thesis"}
     """
     by = VARIANTS[variant]
-    table = thesis_tables.malicious_rate_table(df, n, seed, np.random.default_rng(seed), by)
+    drawn = Bootstraps(n, MALICIOUS_RATE, seed, np.random.default_rng(seed), by)
+    table = thesis_tables.malicious_rate_table(df, drawn)
     ours, thesis = {}, {}
     for _, row in table.iterrows():
         for name, figure in (("recall", "recall"), ("false alarms", "fpr")):
@@ -178,8 +177,8 @@ def pairwise_report(
     Parameters are those of `bootstrapped_dataset`.
     """
     by = VARIANTS[variant]
-    settings = (n, malicious_rate, seed, np.random.default_rng(seed), by)
-    parts = [thesis_tables.family_table(df, *settings), thesis_tables.pairwise_table(df, *settings)]
+    drawn = Bootstraps(n, malicious_rate, seed, np.random.default_rng(seed), by)
+    parts = [thesis_tables.family_table(df, drawn), thesis_tables.pairwise_table(df, drawn)]
     table = pd.concat(parts, ignore_index=True)
     ours = {
         _line(row): Estimate.of_row(row, "balanced_accuracy_best_cluster")
@@ -187,7 +186,7 @@ def pairwise_report(
     }
     thesis = {_line(row): row["thesis_auc"] for _, row in table.iterrows()}
     picture = charts.intervals(ours, thesis, "AUC of the best cluster's hard verdict")
-    pictures = {"pairs": picture} | _pair_dendrograms(df, n, malicious_rate, seed, by)
+    pictures = {"pairs": picture} | _pair_dendrograms(df, drawn)
     summary: dict[str, float | int | str] = {
         "rows": n,
         "malicious_rate": malicious_rate,
@@ -201,16 +200,14 @@ def _line(row: pd.Series) -> str:
     return f"{row['scope'].split(' / ')[-1]}, {row['features']}"
 
 
-def _pair_dendrograms(
-    df: pd.DataFrame, n: int, malicious_rate: float, seed: int, variant: Variant
-) -> dict[str, bytes]:
+def _pair_dendrograms(df: pd.DataFrame, drawn: Bootstraps) -> dict[str, bytes]:
     """Draw the tree of each pair that can be clustered, all features."""
     pictures = {}
     for control, attacked in PAIRS:
         pair = df[df["mode"].isin([control, attacked])]
         try:
-            rows = variant.draw(variant.whole_runs(pair), n, malicious_rate, seed)
-            tree = grow_over_runs(rows, variant.columns(rows, "all"), "ward", variant)
+            rows, method = drawn.rows(pair), drawn.method
+            tree = grow_over_runs(rows, method.columns(rows, "all"), "ward", method)
         except (ClusteringError, DatasetError):
             continue  # its row in the table gives the reason
         pictures[f"dendrogram_{attacked}"] = charts.dendrogram(tree, _labels(rows))
@@ -225,8 +222,8 @@ def side_by_side(
     Parameters are those of `bootstrapped_dataset`; the columns are those of
     `oracle_pipeline.reporting.thesis_tables.side_by_side_table`.
     """
-    rng = np.random.default_rng(seed)
-    table = thesis_tables.side_by_side_table(df, n, malicious_rate, seed, rng)
+    drawn = Bootstraps(n, malicious_rate, seed, np.random.default_rng(seed))
+    table = thesis_tables.side_by_side_table(df, drawn)
     names = table["thesis_source"] + ": " + table["experiment"]
     areas = [Estimate.of_row(row, "reproduced_auc") for _, row in table.iterrows()]
     ours = dict(zip(names, areas, strict=True))

@@ -6,20 +6,21 @@ computed with either variant of the thesis's method, and with both side by side.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bags.protocol import PAIRS
-from oracle_pipeline.clustering.grid import Grid
+from oracle_pipeline.clustering.grid_settings import GridSettings
 from oracle_pipeline.datasets import DatasetError
 from oracle_pipeline.evaluation.clustering_result import ClusteringResult, cluster_and_judge
 from oracle_pipeline.evaluation.comparisons import ALL_MODES
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.metrics import BAND
 from oracle_pipeline.evaluation.null_model import best_cluster_rates
-from oracle_pipeline.evaluation.variants import CORRECTED, THESIS, FeatureSet, Variant
+from oracle_pipeline.evaluation.variants import CORRECTED, THESIS, FeatureSet, MethodVariant
 from oracle_pipeline.reporting.thesis_figures import (
     FAMILIES,
     GRID,
@@ -30,7 +31,7 @@ from oracle_pipeline.reporting.thesis_figures import (
     ThesisFigure,
 )
 
-THESIS_GRID = Grid()
+THESIS_GRID = GridSettings()
 FEATURE_SETS: tuple[FeatureSet, ...] = ("all", "structural", "contextual")
 MALICIOUS_RATES = (0.1, 0.3, 0.5, 0.7, 0.9)
 P_LONG = 0.05  # share of very long runs in the headline of the null model
@@ -39,8 +40,8 @@ P_LONG = 0.05  # share of very long runs in the headline of the null model
 def grid_search_table(
     rows: pd.DataFrame,
     rng: np.random.Generator,
-    variant: Variant = CORRECTED,
-    grid: Grid = THESIS_GRID,
+    variant: MethodVariant = CORRECTED,
+    grid: GridSettings = THESIS_GRID,
 ) -> pd.DataFrame:
     """Judge every setting of a grid on the same rows (the thesis's table 5.1).
 
@@ -54,8 +55,8 @@ def grid_search_table(
         Drawn by the same variant.
     rng : Generator
         Draws the resamples for the intervals.
-    variant : Variant
-    grid : Grid
+    variant : MethodVariant
+    grid : GridSettings
         Its distances are in units of the scaled features if the variant scales.
     """
     columns = variant.columns(rows, "all")
@@ -73,85 +74,66 @@ def grid_search_table(
     return pd.DataFrame(table)
 
 
-def malicious_rate_table(
-    df: pd.DataFrame,
-    n: int,
-    seed: int,
-    rng: np.random.Generator,
-    variant: Variant = CORRECTED,
-    rates: Sequence[float] = MALICIOUS_RATES,
-) -> pd.DataFrame:
-    """Cluster bootstraps with different shares of malicious rows (the thesis's table 6.1).
+@dataclass(frozen=True, eq=False, slots=True)
+class Bootstraps:
+    """How rows are drawn from distinct runs, and by which variant they are clustered."""
 
-    Parameters
-    ----------
-    df : DataFrame
-        Distinct runs.
-    n, seed : int
-        Of each bootstrap.
-    rng : Generator
-        Draws the resamples for the intervals.
-    variant : Variant
-    rates : sequence of float
-        Shares of malicious rows.
-    """
+    n: int  # rows of each bootstrap
+    malicious_rate: float
+    seed: int
+    rng: np.random.Generator  # draws the resamples for the intervals
+    method: MethodVariant = CORRECTED
+
+    def rows(self, df: pd.DataFrame) -> pd.DataFrame:
+        """Draw rows from the usable runs; raises `DatasetError` if there are too few."""
+        usable = self.method.whole_runs(df)
+        return self.method.draw(usable, self.n, self.malicious_rate, self.seed)
+
+    def result(self, df: pd.DataFrame, features: FeatureSet) -> ClusteringResult:
+        """Cluster a bootstrap with the thesis's setting, Ward and two clusters."""
+        try:
+            rows = self.rows(df)
+        except DatasetError as error:
+            return ClusteringResult(note=str(error))
+        columns = self.method.columns(rows, features)
+        return cluster_and_judge(rows, columns, self.rng, variant=self.method)
+
+
+def malicious_rate_table(
+    df: pd.DataFrame, drawn: Bootstraps, rates: Sequence[float] = MALICIOUS_RATES
+) -> pd.DataFrame:
+    """Cluster bootstraps with different shares of malicious rows (the thesis's table 6.1)."""
     table = []
     for rate in rates:
-        result = _bootstrap_and_judge(df, "all", n, rate, seed, rng, variant)
+        result = replace(drawn, malicious_rate=rate).result(df, "all")
         table.append({"malicious_rate": rate} | result.columns() | _thesis_columns(RATES.get(rate)))
     return pd.DataFrame(table)
 
 
-def family_table(
-    df: pd.DataFrame,
-    n: int,
-    malicious_rate: float,
-    seed: int,
-    rng: np.random.Generator,
-    variant: Variant = CORRECTED,
-) -> pd.DataFrame:
-    """Cluster all modes on each set of features (the thesis's sections 6.2 to 6.4).
-
-    Parameters are those of `malicious_rate_table`, with one rate.
-    """
+def family_table(df: pd.DataFrame, drawn: Bootstraps) -> pd.DataFrame:
+    """Cluster all modes on each set of features (the thesis's sections 6.2 to 6.4)."""
     table = []
     for features in FEATURE_SETS:
-        result = _bootstrap_and_judge(df, features, n, malicious_rate, seed, rng, variant)
         place = {"scope": ALL_MODES, "features": features}
+        result = drawn.result(df, features)
         table.append(place | result.columns() | _thesis_columns(FAMILIES[features]))
     return pd.DataFrame(table)
 
 
-def pairwise_table(
-    df: pd.DataFrame,
-    n: int,
-    malicious_rate: float,
-    seed: int,
-    rng: np.random.Generator,
-    variant: Variant = CORRECTED,
-) -> pd.DataFrame:
-    """Cluster each attacked mode with its control on each set of features (the thesis's table 6.2).
-
-    Parameters are those of `malicious_rate_table`, with one rate.
-    """
+def pairwise_table(df: pd.DataFrame, drawn: Bootstraps) -> pd.DataFrame:
+    """Cluster each attacked mode with its control on each set of features (table 6.2)."""
     table = []
     for control, attacked in PAIRS:
         pair = df[df["mode"].isin([control, attacked])]
         for features in FEATURE_SETS:
-            result = _bootstrap_and_judge(pair, features, n, malicious_rate, seed, rng, variant)
             place = {"scope": f"{control} / {attacked}", "features": features}
-            table.append(
-                place | result.columns() | _thesis_columns(PAIRWISE.get((attacked, features)))
-            )
+            figure = PAIRWISE.get((attacked, features))
+            table.append(place | drawn.result(pair, features).columns() | _thesis_columns(figure))
     return pd.DataFrame(table)
 
 
-def side_by_side_table(
-    df: pd.DataFrame, n: int, malicious_rate: float, seed: int, rng: np.random.Generator
-) -> pd.DataFrame:
+def side_by_side_table(df: pd.DataFrame, drawn: Bootstraps) -> pd.DataFrame:
     """Compare each printed result of the thesis with both variants of its method on our runs.
-
-    Parameters are those of `malicious_rate_table`, with one rate.
 
     Returns
     -------
@@ -161,8 +143,9 @@ def side_by_side_table(
         thesis's variant, chosen with labels. ``corrected_tpr`` and ``_fpr`` are of the verdict
         without labels and ``corrected_auc`` of the HAC height, by the corrected variant.
     """
-    settings = (df, n, malicious_rate, seed, rng)
-    reproduced, corrected = (_printed_results(*settings, v) for v in (THESIS, CORRECTED))
+    reproduced, corrected = (
+        _printed_results(df, replace(drawn, method=method)) for method in (THESIS, CORRECTED)
+    )
     notes = zip(reproduced["note"], corrected["note"], strict=True)
     return pd.concat(
         [
@@ -186,20 +169,12 @@ def side_by_side_table(
     )
 
 
-def _printed_results(
-    df: pd.DataFrame,
-    n: int,
-    malicious_rate: float,
-    seed: int,
-    rng: np.random.Generator,
-    variant: Variant,
-) -> pd.DataFrame:
+def _printed_results(df: pd.DataFrame, drawn: Bootstraps) -> pd.DataFrame:
     """Return one variant's rows of all tables that are in the thesis."""
-    settings = (n, malicious_rate, seed, rng, variant)
-    rates = malicious_rate_table(df, n, seed, rng, variant)
-    families, pairs = family_table(df, *settings), pairwise_table(df, *settings)
+    rates = malicious_rate_table(df, drawn)
+    families, pairs = family_table(df, drawn), pairwise_table(df, drawn)
     tables = [
-        _grid_or_reason(df, *settings),
+        _grid_or_reason(df, drawn),
         rates.assign(experiment=[f"{rate:.0%} malicious" for rate in rates["malicious_rate"]]),
         *(
             table.assign(experiment=table["scope"] + ", " + table["features"])
@@ -210,16 +185,9 @@ def _printed_results(
     return joined[joined["thesis_source"] != ""].reset_index(drop=True)
 
 
-def _grid_or_reason(
-    df: pd.DataFrame,
-    n: int,
-    malicious_rate: float,
-    seed: int,
-    rng: np.random.Generator,
-    variant: Variant,
-) -> pd.DataFrame:
+def _grid_or_reason(df: pd.DataFrame, drawn: Bootstraps) -> pd.DataFrame:
     try:
-        rows = variant.draw(variant.whole_runs(df), n, malicious_rate, seed)
+        rows = drawn.rows(df)
     except DatasetError as error:
         nothing = ClusteringResult(note=str(error)).columns()
         table = pd.DataFrame(
@@ -227,7 +195,7 @@ def _grid_or_reason(
             for (method, criterion), figure in GRID.items()
         )
     else:
-        table = grid_search_table(rows, rng, variant)
+        table = grid_search_table(rows, drawn.rng, drawn.method)
     return table.assign(experiment=table["linkage"] + ", " + table["criterion"])
 
 
@@ -261,23 +229,6 @@ def null_model_table(repetitions: int, seed: int) -> pd.DataFrame:
         reached = rates["recall"] >= FAMILIES["all"].recall
         table.append(row | {"reaches_headline": float(reached.mean())})
     return pd.DataFrame(table)
-
-
-def _bootstrap_and_judge(
-    df: pd.DataFrame,
-    features: FeatureSet,
-    n: int,
-    malicious_rate: float,
-    seed: int,
-    rng: np.random.Generator,
-    variant: Variant,
-) -> ClusteringResult:
-    """Cluster a bootstrap with the thesis's setting, Ward and two clusters."""
-    try:
-        rows = variant.draw(variant.whole_runs(df), n, malicious_rate, seed)
-    except DatasetError as error:
-        return ClusteringResult(note=str(error))
-    return cluster_and_judge(rows, variant.columns(rows, features), rng, variant=variant)
 
 
 def _thesis_columns(thesis: ThesisFigure | None) -> dict[str, float | str]:

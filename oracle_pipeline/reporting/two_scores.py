@@ -14,8 +14,8 @@ from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.datasets import is_malicious
 from oracle_pipeline.evaluation.comparisons import RATES
 from oracle_pipeline.evaluation.task_effects import REPEATS
-from oracle_pipeline.reporting import page_tables
-from oracle_pipeline.reporting.page_tables import NO_FIGURE, PageTable
+from oracle_pipeline.reporting.tables import NO_FIGURE, PageTable, plain_table
+from oracle_pipeline.reporting.templating import number
 from oracle_pipeline.scoring.feature_sets import ASPECTS
 
 KINDS = ("tampered", "misbehaved", "both", "neither")
@@ -67,60 +67,54 @@ def counted(kinds: pd.Series) -> str:
 
 
 def scores_table(
-    judged: pd.Series, manifest: Manifest, differences: pd.Series, uncertainty: Mapping[str, float]
+    judged: pd.Series, manifest: Manifest, uncertainty: Mapping[str, float]
 ) -> PageTable:
     """Return the two scores of a run beside the ground truth.
 
     Parameters
     ----------
     judged : Series
-        The run's row of the table ``runs``.
+        The run's row of the table ``runs``, with its differences from unaltered runs of the block.
     manifest : Manifest
-    differences : Series
-        Differences of the robot's behaviour from unaltered runs of the block, by quantity.
     uncertainty : mapping of str to float
         Distance between unaltered runs, by quantity.
     """
-    truth = {
-        "tampering": _tampered(manifest),
-        "misbehaviour": _misbehaved(judged["effect"], differences, uncertainty),
-    }
+    truth = {"tampering": _tampered(manifest), "misbehaviour": _misbehaved(judged, uncertainty)}
     rows = [
         (
             _QUESTIONS[aspect],
-            _number(judged[f"{aspect}_score"]),
-            _number(judged[f"{aspect}_p"]),
+            number(judged[f"{aspect}_score"]),
+            number(judged[f"{aspect}_p"]),
             _verdict(aspect, judged[f"{aspect}_p"]),
             truth[aspect],
         )
         for aspect in ASPECTS
     ]
     heads = ["two questions", "score", "p", f"called at {RATES[0]:.0%}", "in truth"]
-    return page_tables.of_any("Tampering and misbehaviour", pd.DataFrame(rows, columns=heads))
+    return plain_table("Tampering and misbehaviour", pd.DataFrame(rows, columns=heads))
 
 
 def task_table(
-    manifest: Manifest, differences: pd.Series, uncertainty: Mapping[str, float]
+    judged: pd.Series | None, manifest: Manifest, uncertainty: Mapping[str, float]
 ) -> PageTable:
     """Return the robot's behaviour by quantity; empty if it does not drive.
 
-    Parameters
-    ----------
-    manifest, differences, uncertainty
-        As for `scores_table`.
+    Parameters are those of `scores_table`; a run that was not judged has no differences.
     """
+    beside = manifest.task_effect or {}
+    differences = pd.Series(dtype=float) if judged is None else judged
     rows = [
         (
             _name(quantity),
-            f"{value:.3g}{_unit(quantity)}",
-            _signed((manifest.task_effect or {}).get(quantity, np.nan)),
-            _signed(differences.get(quantity, np.nan)),
-            _number(uncertainty.get(quantity, np.nan)),
+            number(value, unit=_unit(quantity)),
+            number(beside.get(quantity, np.nan), "+.3g"),
+            number(differences.get(quantity, np.nan), "+.3g"),
+            number(uncertainty.get(quantity, np.nan)),
         )
         for quantity, value in behaviour(manifest).items()
     ]
     heads = ["quantity", "this run", "more than control", "more than unaltered", "usual up to"]
-    return page_tables.of_any("What the robot did", pd.DataFrame(rows, columns=heads))
+    return plain_table("What the robot did", pd.DataFrame(rows, columns=heads))
 
 
 def _tampered(manifest: Manifest) -> str:
@@ -130,16 +124,16 @@ def _tampered(manifest: Manifest) -> str:
     return f"tampered: the attack altered {changed} messages"
 
 
-def _misbehaved(effect: float, differences: pd.Series, uncertainty: Mapping[str, float]) -> str:
+def _misbehaved(judged: pd.Series, uncertainty: Mapping[str, float]) -> str:
     """Return a text on the quantities in which the robot's behaviour differs."""
-    if np.isnan(effect):
+    if np.isnan(judged["effect"]):
         return f"unknown: it needs {REPEATS} unaltered runs, one of them in this block"
-    if effect <= 1.0:
+    if judged["effect"] <= 1.0:
         return "did not misbehave: like unaltered runs of its block"
     different = [
-        f"{_name(quantity)} {differences[quantity]:+.3g}{_unit(quantity)}"
+        f"{_name(quantity)} {number(judged[quantity], '+.3g', _unit(quantity))}"
         for quantity in UNITS
-        if abs(differences[quantity]) > uncertainty[quantity]
+        if abs(judged[quantity]) > uncertainty[quantity]
     ]
     return f"misbehaved: {', '.join(different)}"
 
@@ -151,17 +145,8 @@ def _verdict(aspect: str, p: float) -> str:
 
 
 def _name(quantity: str) -> str:
-    unit = f"_{UNITS[quantity]}"
-    return quantity.removesuffix(unit).replace("_", " ")
+    return quantity.removesuffix(f"_{UNITS[quantity]}").replace("_", " ")
 
 
 def _unit(quantity: str) -> str:
-    return "" if UNITS[quantity] == "1" else f" {UNITS[quantity]}"
-
-
-def _number(value: float) -> str:
-    return NO_FIGURE if np.isnan(value) else f"{value:.3g}"
-
-
-def _signed(value: float) -> str:
-    return NO_FIGURE if np.isnan(value) else f"{value:+.3g}"
+    return "" if UNITS[quantity] == "1" else UNITS[quantity]

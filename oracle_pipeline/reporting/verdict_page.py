@@ -4,8 +4,7 @@ One self-contained HTML file that loads nothing from the network. Names and text
 escaped, and pictures are drawn in separate processes, as features are computed.
 """
 
-import base64
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +12,7 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.features import FeatureManager
-from oracle_pipeline.reporting.page import template
+from oracle_pipeline.reporting.templating import png_uri, template
 from oracle_pipeline.scoring.isolation import Limits, run_isolated
 from oracle_pipeline.scoring.output import (
     HEADINGS,
@@ -22,7 +21,7 @@ from oracle_pipeline.scoring.output import (
     cells,
     family_as_text,
 )
-from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
+from oracle_pipeline.scoring.verdict import Judgement, Verdict
 
 _HEADLINES: dict[Judgement, str] = {
     "normal": "Normal",
@@ -33,23 +32,12 @@ _HEADLINES: dict[Judgement, str] = {
 }
 
 
-class _Row(NamedTuple):
-    """One piece of evidence: its cells, a description of the feature, and where it stood out."""
+class _Shown(NamedTuple):
+    """One verdict, with its texts and its picture as the page shows them."""
 
-    cells: Sequence[str]
-    meaning: str
-    place: str
-
-
-class _Judged(NamedTuple):
-    """One recording as the page shows it."""
-
-    name: str
-    outcome: Judgement
-    headline: str
+    verdict: Verdict
     sentences: Sequence[str]
     picture: str  # data URI; empty if it could not be drawn
-    rows: Sequence[_Row]
     remarks: Sequence[str]
 
 
@@ -80,10 +68,12 @@ def write(
     draw : callable
         A picklable function that takes the path of a recording and returns its picture as PNG.
     """
-    meanings = {name: feature.description for name, feature in manager.features().items()}
     page = template("verdicts.html.j2").render(
-        judged=[_judged(verdict, far, meanings, limits, draw) for verdict in verdicts],
+        judged=[_shown(verdict, far, limits, draw) for verdict in verdicts],
+        words=_HEADLINES,
+        meanings={name: feature.description for name, feature in manager.features().items()},
         headings=HEADINGS[:4],
+        cells=cells,
         far=far,
         notes=notes,
     )
@@ -91,38 +81,17 @@ def write(
         sink.write(printable(page).encode())
 
 
-def _judged(
-    verdict: Verdict,
-    far: float,
-    meanings: Mapping[str, str],
-    limits: Limits,
-    draw: Callable[[Path], bytes],
-) -> _Judged:
+def _shown(verdict: Verdict, far: float, limits: Limits, draw: Callable[[Path], bytes]) -> _Shown:
     breaches, more = verdict.contract[:MOST_BREACHES], verdict.contract[MOST_BREACHES:]
     if more:
         breaches = (*breaches, f"The remarks list {len(more)} more breaches of the contract.")
-    remarks, uri = [*more, *verdict.notes], ""
+    remarks, picture = [*map(family_as_text, verdict.families), *more, *verdict.notes], ""
     if verdict.outcome != "error":
         try:
-            png = run_isolated(draw, Path(verdict.recording), limits)
-            uri = f"data:image/png;base64,{base64.b64encode(png).decode()}"
+            picture = png_uri(run_isolated(draw, Path(verdict.recording), limits))
         except OracleError as error:
             remarks.append(f"It is not drawn: {error}")
-    return _Judged(
-        verdict.recording,
-        verdict.outcome,
-        _HEADLINES[verdict.outcome],
-        [*breaches, _sentence(verdict, far), *beside(verdict)],
-        uri,
-        [_row(each, meanings.get(each.feature, "")) for each in verdict.evidence],
-        [*map(family_as_text, verdict.families), *remarks],
-    )
-
-
-def _row(evidence: Evidence, meaning: str) -> _Row:
-    """Return a row; window and topic have no columns, because two cards share a screen."""
-    *shown, window, where = cells(evidence)
-    return _Row(shown, meaning, ", ".join(filter(None, [where, window])))
+    return _Shown(verdict, [*breaches, _sentence(verdict, far), *beside(verdict)], picture, remarks)
 
 
 def _sentence(verdict: Verdict, far: float) -> str:

@@ -15,7 +15,7 @@ from assets.experiment_runs import REPRODUCIBLE
 from assets.worker.reproduction import refreshed_directory
 from oracle_pipeline.bags.run_directory import bytes_on_disk
 from oracle_pipeline.datasets import content_hash, feature_dataset, read_table
-from oracle_pipeline.reporting.report import Report
+from oracle_pipeline.reporting.stored_report import Report
 from resources.fleet import Fleet
 from resources.store import RunStore
 from tests.assets.laboratory import KEY, PARTNER, PER_RUN, Laboratory

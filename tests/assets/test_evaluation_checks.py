@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from assets.evaluation_checks import CHECKS, EVALUATION, checks_of_evaluation
-from oracle_pipeline.reporting.report import Report
+from oracle_pipeline.reporting.stored_report import Report
 from resources.store import RunStore
 
 pytestmark = pytest.mark.slow

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from assets import presentation
-from oracle_pipeline.reporting.report import Report
+from oracle_pipeline.reporting.stored_report import Report
 
 pytestmark = pytest.mark.slow
 

@@ -7,7 +7,7 @@ import dagster as dg
 import pytest
 
 from oracle_pipeline.datasets import read_table, write_table
-from oracle_pipeline.reporting.report import Report
+from oracle_pipeline.reporting.stored_report import Report
 from tests.assets.laboratory import ATTACKED, CONTROL, EVERYTHING, KEYS, PER_RUN, Laboratory
 from tests.oracle_pipeline.evaluation.thesis_runs import thesis_runs
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from oracle_pipeline.bags.run_directory import RunDirectory
-from oracle_pipeline.comparison.compare import compare
+from oracle_pipeline.comparison.set_comparison import compare
 from oracle_pipeline.evaluation.estimate import clopper_pearson
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.scoring.reference import Reference, read_reference

@@ -29,7 +29,7 @@ from oracle_pipeline.bags.reader import content_hash as content_hash_of_bag
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.datasets import content_hash, read_table
 from oracle_pipeline.definitions import build_defs
-from oracle_pipeline.reporting.report import Report
+from oracle_pipeline.reporting.stored_report import Report
 from resources.fleet import Fleet
 from resources.store import RunStore
 from sim.campaigns import Campaign

@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from oracle_pipeline.comparison.compare import ComparisonError, compare, fewest
 from oracle_pipeline.comparison.measurements import resolved_values
 from oracle_pipeline.comparison.permutation import MatchedPairs, TwoSamples
+from oracle_pipeline.comparison.set_comparison import ComparisonError, compare, fewest
 from oracle_pipeline.datasets import Fields
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.reference import Reference

@@ -12,8 +12,8 @@ from scipy.stats import permutation_test
 
 from oracle_pipeline.comparison.permutation import (
     DRAWN,
-    Design,
     MatchedPairs,
+    PermutationDesign,
     TwoSamples,
     adjusted_p_values,
 )
@@ -23,7 +23,7 @@ DISTINCT = st.integers(3, 6).flatmap(
 )
 
 
-def p_values(design: Design) -> np.ndarray:
+def p_values(design: PermutationDesign) -> np.ndarray:
     return adjusted_p_values(design, np.random.default_rng(0))
 
 
@@ -71,15 +71,15 @@ def test_no_adjusted_p_value_is_below_that_of_the_feature_alone(values: np.ndarr
     assert np.all(together >= np.array(alone) - 1e-12)
 
 
-def pairs(values: np.ndarray, _: np.random.Generator) -> Design:
+def pairs(values: np.ndarray, _: np.random.Generator) -> PermutationDesign:
     return MatchedPairs(values[:10], values[10:])
 
 
-def two_samples(values: np.ndarray, _: np.random.Generator) -> Design:
+def two_samples(values: np.ndarray, _: np.random.Generator) -> PermutationDesign:
     return TwoSamples(values[:10], values[10:])
 
 
-def three_robots_a_recording(values: np.ndarray, rng: np.random.Generator) -> Design:
+def three_robots_a_recording(values: np.ndarray, rng: np.random.Generator) -> PermutationDesign:
     """Robots of one recording resemble each other far more than those of others do."""
     robots = np.repeat(values[:, :20], 3, axis=0) + rng.normal(scale=0.1, size=(60, 20))
     recordings = np.repeat(np.arange(10), 3)
@@ -95,7 +95,7 @@ def test_a_feature_without_values_or_without_spread_never_differs() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("design_of", [pairs, two_samples, three_robots_a_recording])
 def test_equal_sets_differ_at_most_as_often_as_the_level(
-    design_of: Callable[[np.ndarray, np.random.Generator], Design],
+    design_of: Callable[[np.ndarray, np.random.Generator], PermutationDesign],
 ) -> None:
     rng = np.random.default_rng(4)
     false = 0

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from oracle_pipeline.datasets import feature_columns
-from oracle_pipeline.evaluation import integrity
+from oracle_pipeline.evaluation import integrity_checks
 from oracle_pipeline.evaluation.audit import audit, blocks_needed, exact_pairs
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from tests.oracle_pipeline.datasets.synthetic import campaign
@@ -86,7 +86,7 @@ def test_the_check_is_red_for_a_distinguishing_feature_and_unsupported_with_few_
     columns = feature_columns(features)
 
     def check(table):
-        return integrity.unaltered_runs_alike(JudgedRuns.of(table, windows, truth), columns)
+        return integrity_checks.unaltered_runs_alike(JudgedRuns.of(table, windows, truth), columns)
 
     assert check(features).status == "green"
     red = check(marked(features, "random_noise_shadow", 1e3))

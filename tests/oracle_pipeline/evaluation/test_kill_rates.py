@@ -3,7 +3,6 @@ import pandas as pd
 import pytest
 
 from oracle_pipeline.datasets import DatasetError
-from oracle_pipeline.evaluation.comparisons import HEADLINE
 from oracle_pipeline.evaluation.kill_rates import kill_matrix, minimum_detectable, mutation_scores
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from tests.oracle_pipeline.datasets.synthetic import ATTACKED, MODES, campaign
@@ -15,8 +14,7 @@ def kills_by_hand(*rates, mutants=10):
     return pd.DataFrame(
         [
             {
-                "detector": "max_z", "features": "all", "level": "run", "split": "block",
-                "scenario": "noise", "parameter": "level",
+                "split": "block", "scenario": "noise", "parameter": "level",
                 "value": value, "mutants": mutants + 2, "equivalent": 2,
                 "killed": round(rate * mutants), "kill_rate": rate,
             }
@@ -59,7 +57,7 @@ def grid_of(magnitudes, blocks=4, used=0):
 
 
 def runs_of_campaign(**more):
-    return MeasuredRuns.ordered(*campaign(12, **more)[:2])
+    return MeasuredRuns.ordered(*campaign(24, **more)[:2])
 
 
 def test_stronger_attacks_are_killed_and_equivalent_mutants_do_not_count():
@@ -67,10 +65,7 @@ def test_stronger_attacks_are_killed_and_equivalent_mutants_do_not_count():
     unchanged, strong = (kills[kills["value"] == value] for value in (0.0, 40.0))
     assert (unchanged["equivalent"] == 4).all()
     assert unchanged["kill_rate"].isna().all()
-    assert (strong.loc[strong["detector"] == "mahalanobis", "kill_rate"].max()) == 1.0
-    assert {"all", "structural", "contextual"} <= set(kills["features"])
-    assert {"run", "windows", "both"} == set(kills["level"])
-    assert "max_z" in set(kills["detector"])
+    assert (strong["kill_rate"] == 1.0).all()
 
 
 def test_an_attack_as_weak_as_a_hard_negative_is_detected_only_without_hard_negatives():
@@ -80,8 +75,7 @@ def test_an_attack_as_weak_as_a_hard_negative_is_detected_only_without_hard_nega
         for column, deviation in ATTACKED.items():
             table.loc[harmless, column] += 10.0 * deviation
     kills = kill_matrix(MeasuredRuns.ordered(features, windows), grid_of([10.0]), seed=0)
-    headline = kills[(kills[list(HEADLINE._fields)] == list(HEADLINE)).all(axis=1)]
-    rates = headline.set_index("split")["kill_rate"]
+    rates = kills.set_index("split")["kill_rate"]
     assert rates["block"] < 0.5 < rates["block and hard negatives"]
 
 

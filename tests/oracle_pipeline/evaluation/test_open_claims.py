@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from oracle_pipeline.evaluation.estimate import NOTHING
-from oracle_pipeline.evaluation.integrity import IntegrityCheck
+from oracle_pipeline.evaluation.integrity_checks import IntegrityCheck
 from oracle_pipeline.evaluation.open_claims import as_table, open_claims
 from tests.oracle_pipeline.datasets.synthetic import CONTROLS, MODES, run_features
 

@@ -5,7 +5,7 @@ import pytest
 
 from oracle_pipeline.bags.behaviour import UNITS
 from oracle_pipeline.datasets import is_hard_negative
-from oracle_pipeline.evaluation.aspects import aspects_table, by_mode, quadrants
+from oracle_pipeline.evaluation.aspects import aspects_by_mode, aspects_table
 from oracle_pipeline.evaluation.comparisons import comparisons
 from oracle_pipeline.evaluation.held_out import HeldOutScores
 from oracle_pipeline.evaluation.task_effects import LEAST, task_effects
@@ -90,14 +90,11 @@ def test_each_ground_truth_is_compared_with_its_own_score():
     assert table.loc[("misbehaviour", "all modes"), "malicious"] == effects.misbehaved.sum()
     assert table.loc[("tampering", "all modes"), "auc"] == 0.5
     assert table.loc[("tampering", "all modes"), "malicious"] == judged.malicious.sum()
-    cells = quadrants(scores, judged, effects, rng)
-    assert cells["runs"].sum() == len(judged.features)
-    misbehaved = cells[(cells["misbehaved"] == "yes") & (cells["runs"] > 0)]
-    assert (misbehaved["called_misbehaviour"] == 1.0).all()
-    assert (cells["called_tampering"].dropna() == 0.0).all()
-    assert (cells["called_both"].dropna() == 0.0).all()
-    modes = by_mode(scores, {"misbehaviour": right}, judged, effects, rng).set_index("mode")
-    assert (modes["untaught_misbehaviour"] == modes["called_misbehaviour"]).all()
+    modes = aspects_by_mode(scores, judged, effects, rng).set_index("mode")
+    always = modes[modes["misbehaved"] == 1.0]
+    assert (always["called_misbehaviour"] == 1.0).all()
+    assert (modes["called_tampering"] == 0.0).all()
+    assert (modes["called_both"] == 0.0).all()
     harmless = judged.features["mode"].str.startswith("benign_")
     assert modes.loc["hard negatives", "runs"] == harmless.sum()
     assert modes.loc["fake_object", "misbehaved"] > 0.95

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from oracle_pipeline.evaluation.oracle_kinds import UNION, compare_kinds
+from oracle_pipeline.evaluation.kinds_comparison import UNION, compare_kinds
 from oracle_pipeline.features.engine.plugin import Arrivals
 from oracle_pipeline.oracles import human
 from oracle_pipeline.oracles.calibration import calibrated, union

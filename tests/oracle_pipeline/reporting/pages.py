@@ -12,14 +12,14 @@ import pytest
 from PIL import Image
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.evaluation import campaign_evaluation, integrity, kill_rates, metrics
+from oracle_pipeline.evaluation import campaign_evaluation, integrity_checks, metrics
 from oracle_pipeline.evaluation.giveaways import deviations_of_runs, giveaways
 from oracle_pipeline.evaluation.ranking import standing
 from oracle_pipeline.reporting import html, thesis_reports
 from oracle_pipeline.reporting.evaluation_report import evaluation_report
 from oracle_pipeline.reporting.explanation import explanations
-from oracle_pipeline.reporting.report import Report
 from oracle_pipeline.reporting.searched import searched
+from oracle_pipeline.reporting.stored_report import Report
 from tests.oracle_pipeline.datasets.synthetic import campaign
 from tests.oracle_pipeline.evaluation.test_kill_rates import grid_of
 
@@ -38,13 +38,14 @@ def quickly():
         campaign_evaluation.UPPER_BOUND,
     )
     with pytest.MonkeyPatch.context() as patch:
-        for module in (campaign_evaluation, kill_rates):
-            patch.setattr(module, "panel", lambda seed: {name: panel(seed)[name] for name in QUICK})
+        patch.setattr(
+            campaign_evaluation, "panel", lambda seed: {name: panel(seed)[name] for name in QUICK}
+        )
         small = {bound: bounds(0)[bound].set_params(n_estimators=5)}
         patch.setattr(campaign_evaluation, "upper_bounds", lambda _: small)
         patch.setattr(metrics, "RESAMPLES", 100)
-        patch.setattr(integrity, "TREES", 5)
-        patch.setattr(integrity, "SHUFFLES", 40)
+        patch.setattr(integrity_checks, "TREES", 5)
+        patch.setattr(integrity_checks, "SHUFFLES", 40)
         yield
 
 

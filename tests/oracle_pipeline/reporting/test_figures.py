@@ -1,6 +1,5 @@
 import matplotlib as mpl
 import numpy as np
-import pandas as pd
 import pytest
 from matplotlib.colors import to_rgb
 
@@ -16,29 +15,6 @@ LABELS = ["normal", "malicious", "control"] * 10
 X = np.random.default_rng(0).normal(size=(30, 4))
 DIAGONAL = np.linspace(0.0, 1.0, 11)
 CURVE = RocCurve(DIAGONAL, DIAGONAL, DIAGONAL / 2, np.sqrt(DIAGONAL))
-GRID = pd.DataFrame(
-    {
-        "linkage": ["ward", "ward", "single", "single"],
-        "metric": ["euclidean"] * 4,
-        "criterion": ["maxclust"] * 4,
-        "t": [2.0, 4.0] * 2,
-        "balanced_accuracy": [0.5, 0.9, 0.2, np.nan],
-        "balanced_accuracy_low": [0.4, 0.8, 0.1, np.nan],
-        "balanced_accuracy_high": [0.6, 1.0, 0.3, np.nan],
-    }
-)
-KILLS = pd.DataFrame(
-    {
-        "detector": ["max_z"] * 2 + ["knn"] * 2,
-        "features": "all",
-        "level": "run",
-        "split": "block",
-        "scenario": "random_noise",
-        "parameter": "level",
-        "value": [0.01, 0.1] * 2,
-        "kill_rate": [0.2, 1.0, np.nan, 0.9],
-    }
-)
 SCENE = ReplayScene(
     title="fake_object|run003",
     frame="map",
@@ -58,19 +34,7 @@ PICTURES = {
     **{m: lambda m=m: charts.dendrogram(grow_tree(X, m), LABELS) for m in LINKAGES},
     "tree of copies": lambda: charts.dendrogram(grow_tree(np.ones((6, 1))), LABELS[:6]),
     "roc": lambda: charts.roc_curves({"ward": (CURVE, Estimate(0.5, 0.4, 0.6))}),
-    "components": lambda: charts.principal_components(X, LABELS, np.arange(1, 31)),
-    "no features": lambda: charts.principal_components(np.zeros((2, 0)), LABELS[:2]),
-    "grid": lambda: charts.grid_heat_map(GRID),
     "intervals": lambda: charts.intervals({"a": Estimate(0.5, 0.4, 0.6), "b": NOTHING}, {"a": 1.0}),
-    "curves": lambda: charts.curves(
-        {
-            "band": charts.Curve(*[DIAGONAL] * 2, DIAGONAL / 2, np.sqrt(DIAGONAL)),
-            "line": charts.Curve(DIAGONAL, DIAGONAL),
-        },
-        "budget",
-        "found",
-    ),
-    "kills": lambda: charts.kill_heat_map(KILLS),
     "run": lambda: top_down(SCENE),
     "run of which little is known": lambda: top_down(EMPTY),
 }

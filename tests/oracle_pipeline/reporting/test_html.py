@@ -21,7 +21,7 @@ VOID = {"meta", "img", "link", "br"}
 FIRST = ["recorded", "found", "open"]
 EVERYTHING = [
     "verdicts", "giveaways", "explained", "searched", "alarms", "curves", "integrity", "scorers",
-    "magnitude", "effort", "radar", "trees", "thesis", "storage", "reading", "provenance",
+    "magnitude", "radar", "trees", "thesis", "storage", "reading", "provenance",
 ]  # fmt: skip
 LARGEST = 1_000_000  # bytes of the main page, so that it opens at once
 READABLE = 4.5  # contrast of text, WCAG 2.2, level AA

@@ -8,7 +8,7 @@ from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.replay.picture import kept_picture
 from oracle_pipeline.replay.radar import INSTANT, has_tracks, plan_view, radar_display
 from oracle_pipeline.reporting.figures import COLORS
-from oracle_pipeline.reporting.report import ReportError
+from oracle_pipeline.reporting.stored_report import ReportError
 from tests.oracle_pipeline.features.conftest import drive, write_bag
 from tests.oracle_pipeline.features.test_atc_features import (
     AIRCRAFT,

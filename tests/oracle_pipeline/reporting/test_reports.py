@@ -7,7 +7,7 @@ import pytest
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.evaluation.estimate import Estimate
-from oracle_pipeline.reporting.report import Report, ReportError
+from oracle_pipeline.reporting.stored_report import Report, ReportError
 from oracle_pipeline.reporting.thesis_reports import (
     bootstrapped_dataset,
     clustering_grid_search,

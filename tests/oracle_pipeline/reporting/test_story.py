@@ -6,7 +6,7 @@ import pytest
 from oracle_pipeline.bags.manifest import Pose
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.replay.story import run_scene
-from oracle_pipeline.reporting.report import ReportError
+from oracle_pipeline.reporting.stored_report import ReportError
 from tests.oracle_pipeline.features.conftest import drive, write_bag
 from tests.oracle_pipeline.reporting.recordings import (
     COSTMAP,

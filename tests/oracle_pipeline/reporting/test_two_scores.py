@@ -69,11 +69,11 @@ def words(effect: float, **differences: float) -> str:
     """Return the true misbehaviour in the table of scores."""
     row = pd.Series(
         {f"{aspect}_{name}": NONE for aspect in ("tampering", "misbehaviour")
-         for name in ("score", "p")} | {"effect": effect}
+         for name in ("score", "p")}
+        | {"effect": effect, **dict.fromkeys(UNITS, 0.0), **differences}
     )  # fmt: skip
-    all_differences = pd.Series({**dict.fromkeys(UNITS, 0.0), **differences})
     usual = {**dict.fromkeys(UNITS, 1.0), "clearance_m": 0.05}
-    table = scores_table(row, manifest(label="normal"), all_differences, usual)
+    table = scores_table(row, manifest(label="normal"), usual)
     return table.rows[1][-1].text
 
 
@@ -94,4 +94,4 @@ def test_misbehaviour_lists_the_quantities_that_differ(
 
 
 def test_a_system_that_does_not_drive_has_no_row() -> None:
-    assert task_table(manifest(drive=None), pd.Series(dtype=float), {}).rows == []
+    assert task_table(None, manifest(drive=None), {}).rows == []

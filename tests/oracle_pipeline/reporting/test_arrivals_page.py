@@ -5,7 +5,7 @@ import re
 import lxml.html
 import pytest
 
-from oracle_pipeline.reporting.foreign import foreign_page, summary
+from oracle_pipeline.reporting.arrivals_page import arrivals_page, summary
 from oracle_pipeline.scoring.verdict import Verdict
 from tests.oracle_pipeline.scoring.test_kept_verdicts import WHOLE, kept
 
@@ -13,15 +13,15 @@ HOSTILE = "<script>alert(1)</script>"
 
 
 def test_a_page_without_recordings_has_a_note():
-    assert "0 recordings." in foreign_page([])
+    assert "0 recordings." in arrivals_page([])
 
 
 def test_every_recording_has_its_verdict_and_evidence():
     broken = Verdict(HOSTILE, "error", error="no end")
-    page = foreign_page([kept("a", WHOLE), kept("b", broken), kept("c", Verdict("c", "normal"))])
+    page = arrivals_page([kept("a", WHOLE), kept("b", broken), kept("c", Verdict("c", "normal"))])
     assert HOSTILE not in page
     tree = lxml.html.fromstring(page)
-    rows = [row.text_content() for row in tree.xpath("//table[1]/tbody/tr[th]")]
+    rows = [row.text_content() for row in tree.xpath("(//table)[1]/tbody/tr")]
     assert len(rows) == 3
     assert "anomalous" in rows[0]
     assert "could not be judged" in rows[1]

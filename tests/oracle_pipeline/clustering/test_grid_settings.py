@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.spatial.distance import pdist
 
-from oracle_pipeline.clustering.grid import Grid, in_metric
+from oracle_pipeline.clustering.grid_settings import GridSettings, in_metric
 from oracle_pipeline.clustering.tree import ClusteringError
 from oracle_pipeline.reporting.thesis_reports import bootstrapped_dataset, clustering_grid_search
 from tests.oracle_pipeline.datasets.synthetic import run_features
@@ -33,12 +33,12 @@ def test_distances_in_a_metric_are_half_the_squares_of_those_of_its_rows(metric,
 )
 def test_the_error_for_an_unknown_setting_lists_the_known_ones(settings, said):
     with pytest.raises(ClusteringError, match=said):
-        Grid(**settings)
+        GridSettings(**settings)
 
 
 def test_the_grid_tries_each_setting_and_selects_by_the_measure():
     drawn = bootstrapped_dataset(run_features(runs=3, effect=3.0), 60).table
-    grid = Grid(("ward", "average"), ("euclidean", "cosine"), (2.0, 3.0), "f1")
+    grid = GridSettings(("ward", "average"), ("euclidean", "cosine"), (2.0, 3.0), "f1")
     report = clustering_grid_search(drawn, grid=grid)
     table = report.table
     assert len(table) == 2 * 2 * 2 * 2

@@ -4,14 +4,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.comparison.compare import Comparison, Difference
+from oracle_pipeline.comparison.set_comparison import Difference, SetComparison
 from oracle_pipeline.reporting.figures import INK, SERIES, drawing
 
 SHOWN = 16  # strips
 _MARKERS = ("o", "^")
 
 
-def strips(comparison: Comparison) -> bytes:
+def strips(comparison: SetComparison) -> bytes:
     """Draw the recordings of both sets, one strip per differing feature, as PNG bytes.
 
     Each strip is scaled to the range of its values; the medians are printed beside it.

@@ -15,7 +15,7 @@ MEASURES: tuple[Measure, ...] = get_args(Measure)
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class GridSettings:
     """The settings of a grid search; the defaults are the thesis's.
 
     Attributes

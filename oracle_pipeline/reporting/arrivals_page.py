@@ -1,14 +1,17 @@
 """The page on recordings from the inbox: a verdict for each, with its evidence.
 
-One self-contained HTML file beside the report, from ``templates/foreign.html.j2``.
+One self-contained HTML file beside the report, from ``templates/arrivals.html.j2``.
 """
 
 from collections import Counter
 from collections.abc import Sequence
 
-from oracle_pipeline.reporting.page import template
+import pandas as pd
+
+from oracle_pipeline.reporting.tables import evidence_table, table
+from oracle_pipeline.reporting.templating import template
 from oracle_pipeline.scoring.kept_verdicts import KeptVerdict
-from oracle_pipeline.scoring.output import HEADINGS, cells, family_as_text
+from oracle_pipeline.scoring.output import family_as_text
 from oracle_pipeline.scoring.verdict import Judgement
 
 _IN_WORDS: dict[Judgement, str] = {
@@ -20,14 +23,27 @@ _IN_WORDS: dict[Judgement, str] = {
 }
 
 
-def foreign_page(verdicts: Sequence[KeptVerdict]) -> str:
+def arrivals_page(verdicts: Sequence[KeptVerdict]) -> str:
     """Return the page, with the verdicts in the given order."""
-    return template("foreign.html.j2").render(
+    listed = pd.DataFrame(
+        [
+            {
+                "recording": kept.verdict.recording,
+                "verdict": _IN_WORDS[kept.verdict.outcome],
+                "p_value": kept.verdict.p_value,
+                "score": kept.verdict.score,
+                "far": kept.far,
+                "judged_at": kept.judged_at,
+            }
+            for kept in verdicts
+        ]
+    )
+    return template("arrivals.html.j2").render(
         verdicts=verdicts,
+        listed=table("arrivals", listed, links=[f"#{kept.key}" for kept in verdicts]),
         summary=summary(verdicts),
         words=_IN_WORDS,
-        headings=HEADINGS,
-        cells=cells,
+        evidence_table=evidence_table,
         family=family_as_text,
     )
 

@@ -46,21 +46,21 @@ def compare(
         oracle compare old_build/ new_build/ --junit compare.xml --picture compare.png
         oracle compare a/datasets/features.parquet b/datasets/features.parquet --level 0.01
     """  # noqa: D301 -- click reads the control character
-    from oracle_pipeline.comparison import output
-    from oracle_pipeline.comparison.compare import compare as compare_sets
-    from oracle_pipeline.comparison.compare import read_sets
+    from oracle_pipeline.comparison import texts
+    from oracle_pipeline.comparison.set_comparison import compare as compare_sets
+    from oracle_pipeline.comparison.set_comparison import read_sets
     from oracle_pipeline.datasets import replacing
     from oracle_pipeline.features import build_manager
 
     comparison = compare_sets(*read_sets(first, second, build_manager(plugins)), level)
-    show = output.as_json if file_format == "json" else output.as_text
+    show = texts.as_json if file_format == "json" else texts.as_text
     click.echo(show(comparison))
     if junit is not None:
         with replacing(junit) as sink:
-            sink.write(output.as_junit(comparison))
+            sink.write(texts.as_junit(comparison))
     if picture is not None:
-        from oracle_pipeline.comparison.picture import strips
+        from oracle_pipeline.comparison.strips import strips
 
         with replacing(picture) as sink:
             sink.write(strips(comparison))
-    ctx.exit(output.EXIT_CODES[comparison.outcome])
+    ctx.exit(texts.EXIT_CODES[comparison.outcome])

@@ -5,17 +5,22 @@ import json
 from collections.abc import Iterator
 
 from oracle_pipeline.bags.terminal import aligned_lines
-from oracle_pipeline.comparison.compare import Comparison, Difference, Outcome, fewest
 from oracle_pipeline.comparison.measurements import family_of
+from oracle_pipeline.comparison.set_comparison import (
+    ComparisonOutcome,
+    Difference,
+    SetComparison,
+    fewest,
+)
 from oracle_pipeline.scoring.junit import TestCase, junit_document
 
-EXIT_CODES: dict[Outcome, int] = {"same": 0, "different": 1, "unsupported": 2}
+EXIT_CODES: dict[ComparisonOutcome, int] = {"same": 0, "different": 1, "unsupported": 2}
 SHOWN = 20  # differences in a text; JSON has all
 
 _HEADINGS = ("feature", "A", "B", "B - A", "95 % interval", "effect", "p")
 
 
-def as_json(comparison: Comparison) -> str:
+def as_json(comparison: SetComparison) -> str:
     """Return one JSON object: outcome, numbers of compared features, and all differences."""
     document = {
         field.name: getattr(comparison, field.name)
@@ -26,7 +31,7 @@ def as_json(comparison: Comparison) -> str:
     return json.dumps(document, indent=2, allow_nan=False)
 
 
-def as_text(comparison: Comparison) -> str:
+def as_text(comparison: SetComparison) -> str:
     """Return the outcome as a sentence, the differences as a table, and the method."""
     lines = [in_words(comparison)]
     if comparison.differences:
@@ -38,7 +43,7 @@ def as_text(comparison: Comparison) -> str:
     return "\n".join([*lines, "", *_basis(comparison), *comparison.notes])
 
 
-def in_words(comparison: Comparison) -> str:
+def in_words(comparison: SetComparison) -> str:
     """Return the outcome as one sentence."""
     total = sum(comparison.compared.values())
     if comparison.outcome == "unsupported":
@@ -54,7 +59,7 @@ def in_words(comparison: Comparison) -> str:
     return f"DIFFERENT: {len(comparison.differences)} of {total} features."
 
 
-def as_junit(comparison: Comparison) -> bytes:
+def as_junit(comparison: SetComparison) -> bytes:
     """Return JUnit XML with a test case per family of features; it fails if a feature differs."""
     cases = []
     for family in comparison.compared:
@@ -69,7 +74,7 @@ def as_junit(comparison: Comparison) -> bytes:
     return junit_document("oracle compare", cases)
 
 
-def _basis(comparison: Comparison) -> Iterator[str]:
+def _basis(comparison: SetComparison) -> Iterator[str]:
     first, second = comparison.recordings
     yield f"A: {first} recordings, B: {second}. " + (
         f"Compared in {comparison.pairs} pairs of equal blocks."
@@ -83,7 +88,7 @@ def _basis(comparison: Comparison) -> Iterator[str]:
     )
 
 
-def _by_family(comparison: Comparison) -> Iterator[str]:
+def _by_family(comparison: SetComparison) -> Iterator[str]:
     for family, compared in comparison.compared.items():
         found = sum(family_of(each.feature) == family for each in comparison.differences)
         if found:

@@ -21,15 +21,15 @@ from oracle_pipeline.comparison.measurements import (
     varying_columns,
 )
 from oracle_pipeline.comparison.permutation import (
-    Design,
     MatchedPairs,
+    PermutationDesign,
     TwoSamples,
     adjusted_p_values,
 )
 from oracle_pipeline.features import FeatureManager
 from oracle_pipeline.scoring.reference import Reference, read_reference, recordings_below
 
-Outcome: TypeAlias = Literal["same", "different", "unsupported"]
+ComparisonOutcome: TypeAlias = Literal["same", "different", "unsupported"]
 
 SEED = 0  # of the permutations and of the intervals
 RESAMPLES = 2_000  # of the intervals
@@ -72,7 +72,7 @@ class Difference:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class SetComparison:
     """The result of comparing two sets of recordings.
 
     Attributes
@@ -93,7 +93,7 @@ class Comparison:
         The compared values, one row per robot of a recording; pairs are in the same order.
     """
 
-    outcome: Outcome
+    outcome: ComparisonOutcome
     recordings: tuple[int, int]
     pairs: int
     level: float
@@ -122,7 +122,7 @@ def read_sets(first: Path, second: Path, manager: FeatureManager) -> tuple[Refer
     return sets[first], sets[second]
 
 
-def compare(first: Reference, second: Reference, level: float = 0.05) -> Comparison:
+def compare(first: Reference, second: Reference, level: float = 0.05) -> SetComparison:
     """Compare two sets of recordings.
 
     If both have the same blocks of the same modes (same start, goals and arena), each recording is
@@ -152,7 +152,7 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> Compari
     if not varying.any():
         raise ComparisonError("No feature varies between these recordings; use more of them.")
     left, right = (table[:, varying] for table in resolved)
-    design: Design
+    design: PermutationDesign
     if partners is None:
         recordings = first.recordings, second.recordings
         design = TwoSamples(left, right, recordings)
@@ -175,7 +175,7 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> Compari
         if p <= level
     ]
     unsupported = design.lowest_p > level
-    return Comparison(
+    return SetComparison(
         outcome="unsupported" if unsupported else "different" if found else "same",
         recordings=(_count(first), _count(second)),
         pairs=0 if partners is None else len(partners[0]),

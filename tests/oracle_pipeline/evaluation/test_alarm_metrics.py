@@ -1,7 +1,12 @@
 import numpy as np
 import pytest
 
-from oracle_pipeline.evaluation.alarms import WatchedRuns, judge_alarms, times_to_detect, watched
+from oracle_pipeline.evaluation.alarm_metrics import (
+    WatchedRuns,
+    judge_alarms,
+    times_to_detect,
+    watched,
+)
 from oracle_pipeline.evaluation.comparisons import ComparedRuns
 from oracle_pipeline.evaluation.reference_scores import reference_of
 from oracle_pipeline.features import FeatureTables

@@ -1,0 +1,85 @@
+"""The comparison of several kinds of oracle: tables of the report, text and JSON."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+
+import pandas as pd
+
+from oracle_pipeline.bags.terminal import aligned_lines
+from oracle_pipeline.evaluation.kinds_comparison import KindsComparison
+from oracle_pipeline.reporting.stored_report import Report
+from oracle_pipeline.reporting.tables import PageColumn, PageTable, table
+
+KINDS, BY_MODE = "kinds", "kinds_by_mode"
+_FEW = 20  # most recordings without a label to show p-values of
+
+
+def with_kinds(report: Report, comparison: KindsComparison) -> Report:
+    """Return the report on an evaluation, with the tables of the kinds of oracle added."""
+    return replace(report, tables={**report.tables, **_named(comparison)})
+
+
+def _named(comparison: KindsComparison) -> dict[str, pd.DataFrame]:
+    return {KINDS: comparison.oracles, BY_MODE: comparison.by_mode}
+
+
+def tables_of_kinds(found: Mapping[str, pd.DataFrame]) -> dict[str, PageTable]:
+    """Return the tables of the page by name; none if the kinds were not compared."""
+    if KINDS not in found:
+        return {}
+    by_mode = found[BY_MODE]
+    names = list(dict.fromkeys(by_mode["oracle"])) if len(by_mode) else []
+    columns = [PageColumn(name, name, "share called anomalous") for name in names]
+    return {
+        KINDS: table(KINDS, found[KINDS]),
+        BY_MODE: table(BY_MODE, _side_by_side(by_mode), columns),
+    }
+
+
+def _side_by_side(by_mode: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each mode, with an estimate for each oracle."""
+    if by_mode.empty:
+        return by_mode
+    joined = by_mode[["mode", "label", "runs"]].drop_duplicates().set_index("mode")
+    for name, of in by_mode.groupby("oracle", sort=False):
+        for end in ("", "_low", "_high"):
+            joined[f"{name}{end}"] = of.set_index("mode")[f"called{end}"]
+    return joined.reset_index()
+
+
+def as_text(comparison: KindsComparison, far: float) -> str:
+    """Return the tables of oracles, of modes, and of recordings without a label."""
+    oracles = comparison.oracles
+    written = oracles.get("written", pd.Series(0, oracles.index)).fillna(0)
+    count = written.map("{:.0f} ".format).where(written > 0, "")
+    shown = oracles.assign(needs=count + oracles["asks"])
+    if "seconds_a_run" in oracles:
+        shown["ms_a_run"] = 1e3 * oracles["seconds_a_run"]
+    by_mode = tables_of_kinds(_named(comparison))[BY_MODE]
+    sections = [[f"Nominal false positive rate: {far:g}, sessions held out"]]
+    sections.append([*table("kinds_in_terminal", shown).lines()])
+    sections.append([*by_mode.lines()] if by_mode.rows else [])
+    sections.append(_p_of_unknown(comparison.p))
+    if "note" in oracles:
+        notes = oracles[oracles["note"].fillna("") != ""].groupby("note", sort=False)["oracle"]
+        sections.append([f"{', '.join(names)}: {note}" for note, names in notes])
+    return "\n\n".join("\n".join(lines) for lines in sections if lines)
+
+
+def _p_of_unknown(p: pd.DataFrame) -> list[str]:
+    """Return the p-values of recordings without a label as lines."""
+    unknown = p[p["label"] == "unknown"].drop(columns=["mode", "label"]).head(_FEW)
+    rows = [(row[0], *map("{:.3f}".format, row[1:])) for row in unknown.itertuples(index=False)]
+    head = ("p-value", *unknown.columns[1:])
+    return list(aligned_lines([head, *rows], indent="    ")) if rows else []
+
+
+def as_json(comparison: KindsComparison, far: float) -> str:
+    """Return one JSON object with the three tables; unknown values are null."""
+    tables = {"oracles": comparison.oracles, "by_mode": comparison.by_mode, "runs": comparison.p}
+    document = {
+        "far": far,
+        **{name: json.loads(table.to_json(orient="records")) for name, table in tables.items()},
+    }
+    return json.dumps(document, indent=2, allow_nan=False)
