@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.bags.integrity import require_undamaged
@@ -13,8 +13,11 @@ from sim.campaigns import Campaign, RecipeError
 from sim.modes import modes
 from sim.pairs import judge_pair
 from sim.software import software
-from sim.testbed import Mode, Recipe, Testbed, TestbedRun
+from sim.testbed import Mode, Recipe, Testbed
 from sim.testbeds import TESTBEDS, which_testbed
+
+if TYPE_CHECKING:
+    from sim.testbed_run import TestbedRun
 
 Comparison = Literal["same messages", "other software", "other recipe", "unexplained"]
 
@@ -53,7 +56,7 @@ def record_run(
     directory: RunDirectory,
     *,
     refresh: bool = False,
-    accompany: Callable[[TestbedRun], None] = lambda _: None,
+    accompany: "Callable[[TestbedRun], None]" = lambda _: None,
 ) -> Manifest:
     """Make one run on the testbed of its recipe, completely or not at all.
 
@@ -157,7 +160,7 @@ def _make(
     recipe: Recipe,
     directory: RunDirectory,
     former: Manifest | None = None,
-    accompany: Callable[[TestbedRun], None] = lambda _: None,
+    accompany: "Callable[[TestbedRun], None]" = lambda _: None,
 ) -> Manifest:
     """Make a run, completely or not at all; it replaces an existing one."""
     testbed = next(bed for bed in TESTBEDS.values() if isinstance(recipe, bed.recipe))

@@ -16,7 +16,8 @@ from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.endpoints import Publisher, Subscription
 from sim.middleware.executor import MILLISECOND
-from sim.testbed import Recipe, TestbedRun
+from sim.testbed import Recipe
+from sim.testbed_run import TestbedRun
 
 _PERIOD_NS = 100 * MILLISECOND  # period of the search for new endpoints
 _GID_BYTES = 24  # of an identifier on Humble; DDS gives 16 of them

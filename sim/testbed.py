@@ -3,19 +3,22 @@
 Each testbed has a folder with a module ``testbed``; ``sim.testbeds`` lists them all.
 """
 
+import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from oracle_pipeline.bags.manifest import Label, Manifest, Software
-from sim.campaigns import Campaign
+from oracle_pipeline.bags.manifest import Label
+from sim.campaigns import Campaign, Storage
 from sim.fuzzing.drawn_parameters import drawn_values
-from sim.fuzzing.node import ScenarioNode
 from sim.fuzzing.scenario import Scenario
-from sim.middleware.domain import Domain
+from sim.seeds import NODE, attack_seed, node_generator
+
+if TYPE_CHECKING:
+    from sim.testbed_run import TestbedRun
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,59 +88,40 @@ class Mode:
         return {**defaults, **drawn_values(self.scenario, run_seed), **of_block, **given}
 
 
-class Recipe(Protocol):
-    """Everything that determines a run; a frozen dataclass of numbers, texts and other recipes."""
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """Everything that determines a run: numbers, texts and frozen dataclasses of these."""
 
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-
-    @property
-    def mode(self) -> str:
-        """Name of the mode."""
-
-    @property
-    def scenario(self) -> Mapping[str, Any]:
-        """The scenario's document."""
-
-    @property
-    def parameters(self) -> Mapping[str, Any]:
-        """A value for each parameter of the scenario."""
+    mode: str
+    scenario: Mapping[str, Any]  # the document
+    parameters: Mapping[str, Any]  # a value for each of the scenario's
+    run: int
+    block: int
+    seed: int
+    storage: Storage
+    noise: str  # `Mode.noise`
 
     def generator(self, node: str) -> np.random.Generator:
-        """Return the randomness of one node; the same in every run of the block and its noise."""
+        """Return the generator of one node; equal in all runs of a block that share their noise."""
+        return node_generator(self.seed, NODE, self.block, self.noise + node)
 
     def attack_seed(self) -> int:
         """Return the key of the attack's own, counter-based randomness."""
+        return attack_seed(self.seed, self.block)
 
     def campaign(self) -> Campaign:
         """Return the run's campaign, as far as the draws of its block depend on it."""
+        raise NotImplementedError
 
     def to_dict(self) -> dict[str, Any]:
         """Return the recipe as JSON values."""
+        document: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        return document
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:
         """Return the recipe from the result of ``to_dict``."""
-
-
-class TestbedRun(Protocol):
-    """A testbed that has started, and its one run.
-
-    Attributes
-    ----------
-    domain : Domain
-        The system's graph.
-    node : ScenarioNode or None
-        The mode's node; None until it exists.
-    """
-
-    domain: Domain
-    node: ScenarioNode | None
-
-    def go(self) -> None:
-        """Execute the run; write bag and graphs."""
-
-    def manifest(self, wall_s: float, software: Software) -> Manifest:
-        """Return the facts of the finished run for its manifest."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,7 +153,7 @@ class Testbed:
     messages: frozenset[str] = frozenset()
     recipe: type[Recipe]
     draw: Callable[[Mode, int, Campaign, Mapping[str, Any]], Recipe]
-    bring_up: Callable[[Any, Path], TestbedRun]
+    bring_up: Callable[[Any, Path], "TestbedRun"]
     made_by: str
 
     def made(self, recipe: Mapping[str, Any]) -> bool:

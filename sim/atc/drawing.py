@@ -11,12 +11,12 @@ import numpy as np
 
 from sim.atc.airspace import AirSpace, Flight
 from sim.atc.geodesy import slant_range
-from sim.atc.recipes import ATTACK, BLOCK, SESSION, SETTLING_S, TARGET, AtcRecipe, AtcSession
+from sim.atc.recipes import SETTLING_S, TARGET, AtcRecipe, AtcSession
 from sim.atc.sensors import RADAR_RANGE_M
 from sim.atc.traffic import draw_traffic
 from sim.campaigns import Campaign
 from sim.middleware.executor import SECOND
-from sim.seeds import attack_seed, generator
+from sim.seeds import BLOCK, SESSION, attack_seed, generator
 from sim.testbed import Mode
 
 FLIGHTS = 10  # of a run
@@ -46,7 +46,7 @@ def draw(mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any]
     return AtcRecipe(
         mode=mode.id,
         scenario=mode.scenario.document,
-        parameters=mode.parameters(drawn, parameters, attack_seed(campaign.seed, ATTACK, run)),
+        parameters=mode.parameters(drawn, parameters, attack_seed(campaign.seed, run)),
         run=run,
         block=run,
         seed=campaign.seed,

@@ -1,19 +1,16 @@
 """The recipe of an air traffic run: everything that determines it."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Self
 
-import numpy as np
-
 from sim.atc.airspace import Flight, Waypoint
-from sim.campaigns import Campaign, Storage
-from sim.seeds import attack_seed, node_generator
+from sim.campaigns import Campaign
+from sim.testbed import Recipe
 
 SETTLING_S = 15.0  # three turns of the radars, before the recording begins
 
-# Branches of the seed: draws from one do not affect draws from another.
-SESSION, BLOCK, NODE, ATTACK, TARGET = range(5)
+TARGET = 4  # branch of the seed
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,37 +25,12 @@ class AtcSession:
 
 
 @dataclass(frozen=True, slots=True)
-class AtcRecipe:
+class AtcRecipe(Recipe):
     """Everything that determines a run."""
 
-    mode: str
-    scenario: Mapping[str, Any]  # the document
-    parameters: Mapping[str, Any]  # a value for each of the scenario's
-    run: int
-    block: int
-    seed: int
     session: AtcSession
     flights: tuple[Flight, ...]
     duration_s: float
-    storage: Storage
-    noise: str  # `Mode.noise`
-
-    def generator(self, node: str) -> np.random.Generator:
-        """Return the generator of one node; equal in all runs of a block that share their noise."""
-        return node_generator(self.seed, NODE, self.block, self.noise + node)
-
-    def attack_seed(self) -> int:
-        """Return the key of the attack's counter-based generator."""
-        return attack_seed(self.seed, ATTACK, self.block)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the recipe as JSON values."""
-        document = asdict(self)
-        document["session"]["wind"] = list(self.session.wind)
-        document["flights"] = [
-            {**flight, "route": list(flight["route"])} for flight in document["flights"]
-        ]
-        return document
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:

@@ -2,11 +2,14 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sim.atc.recipes import AtcRecipe
 from sim.campaigns import Campaign
-from sim.testbed import Mode, Testbed, TestbedRun
+from sim.testbed import Mode, Testbed
+
+if TYPE_CHECKING:
+    from sim.testbed_run import TestbedRun
 
 
 def _draw(mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any]) -> AtcRecipe:
@@ -15,7 +18,7 @@ def _draw(mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any
     return draw(mode, run, campaign, parameters)
 
 
-def _bring_up(recipe: AtcRecipe, folder: Path) -> TestbedRun:
+def _bring_up(recipe: AtcRecipe, folder: Path) -> "TestbedRun":
     from sim.atc.run import AtcRun
 
     return AtcRun(recipe, folder)

@@ -22,10 +22,10 @@ from sim.commands.batch import mode_option, seed_option
 from sim.experiments import recipe_for, record_run
 from sim.middleware.executor import SECOND
 from sim.modes import find_mode
-from sim.testbed import TestbedRun
 
 if TYPE_CHECKING:
     from sim.serving import ServedDomain
+    from sim.testbed_run import TestbedRun
 
 DEFAULT_MODE = "lidar_passthrough_odom"  # its node can be switched to every built-in attack
 _TIMEOUT_S = 120.0  # of simulated time, for each goal
@@ -113,7 +113,7 @@ class _Session:
         self._served: ServedDomain | None = None
         self._started = 0.0
 
-    def begin(self, run: TestbedRun) -> None:
+    def begin(self, run: "TestbedRun") -> None:
         """Start to accompany a run."""
         from sim.serving import ServedDomain
 

@@ -24,15 +24,13 @@ from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.footprint import INSCRIBED_RADIUS
 from sim.nav2.inflation import GLOBAL_COST_SCALING, Inflation, InflationLayer
 from sim.nav2.navfn import plan
-from sim.seeds import attack_seed, generator, sequence
+from sim.seeds import BLOCK, attack_seed, generator, sequence
 from sim.testbed import Mode
 from sim.turtlebot3.arena import Arena
 from sim.turtlebot3.floor_plans import KINDS, draw_arena
 from sim.turtlebot3.map import RESOLUTION_M, WORLD_IN_MAP, occupancy_map, odom_in_map
 from sim.turtlebot3.recipes import (
     ARENA,
-    ATTACK,
-    BLOCK,
     RELATION,
     Block,
     Conditions,
@@ -202,7 +200,7 @@ def draw(
         mode=mode.id,
         scenario=mode.scenario.document,
         parameters=mode.parameters(
-            _drawn(block, campaign.options), parameters, attack_seed(campaign.seed, ATTACK, run)
+            _drawn(block, campaign.options), parameters, attack_seed(campaign.seed, run)
         ),
         conditions=Conditions(**mode.conditions),
         run=run,

@@ -4,17 +4,14 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
-import numpy as np
-
-from sim.campaigns import Campaign, Options, Storage
+from sim.campaigns import Campaign, Options
 from sim.middleware.geometry import Pose2D
-from sim.seeds import attack_seed, node_generator
+from sim.testbed import Recipe
 from sim.turtlebot3.arena import Arena
 
 _WITHDRAWN = {"debug_topics": False}  # options of earlier releases, and their only value now
 
-# Branches of the seed: draws from one do not affect draws from another.
-SESSION, BLOCK, NODE, ATTACK, ARENA, RELATION = range(6)
+ARENA, RELATION = 4, 5  # branches of the seed
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,33 +65,17 @@ class Session:
 
 
 @dataclass(frozen=True, slots=True)
-class TurtleBot3Recipe:
+class TurtleBot3Recipe(Recipe):
     """Everything that determines a run; poses and the fake object are in the map frame."""
 
-    mode: str
-    scenario: Mapping[str, Any]  # the document
-    parameters: Mapping[str, Any]  # a value for each of the scenario's
     conditions: Conditions
-    run: int
-    block: int
-    seed: int
     session: Session
     arena: Arena
     start: Pose2D
     goals: tuple[Pose2D, ...]
     fake_object: FakeObject
-    storage: Storage
     timeout_s: float
     options: Options
-    noise: str  # `Mode.noise`
-
-    def generator(self, node: str) -> np.random.Generator:
-        """Return the generator of one node; equal in all runs of a block that share their noise."""
-        return node_generator(self.seed, NODE, self.block, self.noise + node)
-
-    def attack_seed(self) -> int:
-        """Return the key of the attack's counter-based generator."""
-        return attack_seed(self.seed, ATTACK, self.block)
 
     @property
     def world(self) -> str:
@@ -108,15 +89,13 @@ class TurtleBot3Recipe:
         It holds Nav2's parameters and the relation only if they are set, and options that earlier
         releases had, so their recipes stay valid.
         """
-        goals = [asdict(goal) for goal in self.goals]
         usual = asdict(Options())
-        options = {**asdict(self.options), **_WITHDRAWN}
+        document = Recipe.to_dict(self)
+        options = document["options"] = {**document["options"], **_WITHDRAWN}
         for name in ("nav2_params", "relation"):
             if options[name] == usual[name]:
                 del options[name]
-        return {
-            **asdict(self), "arena": self.arena.to_dict(), "goals": goals, "options": options,
-        }  # fmt: skip
+        return document
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:

@@ -11,13 +11,7 @@ from typing import Any
 
 from oracle_pipeline.bags import manifest as schema
 from oracle_pipeline.bags.errors import RunDirectoryError
-from oracle_pipeline.bags.integrity import hashes_of_files
 from oracle_pipeline.bags.manifest import Manifest
-from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, bytes_on_disk
-from oracle_pipeline.bags.writer import BagWriter
-from sim.fuzzing.compilation import compile_document
-from sim.fuzzing.execution import execute
-from sim.fuzzing.node import ScenarioNode
 from sim.middleware.delays import Delays
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
@@ -25,7 +19,8 @@ from sim.middleware.geometry import Pose2D
 from sim.nav2.basic_navigator import GoalResult
 from sim.nav2.bringup import bring_up
 from sim.nav2.collision_monitor import SOURCES
-from sim.recording import DEBUG_TOPICS, GraphRecorder, ReceiveClock, Recorder
+from sim.recording import DEBUG_TOPICS, ReceiveClock
+from sim.testbed_run import TestbedRun
 from sim.turtlebot3.arena import Cylinder
 from sim.turtlebot3.map import WORLD_IN_MAP, occupancy_map
 from sim.turtlebot3.mjcf import WorldParameters
@@ -47,28 +42,13 @@ class BringUpError(RunDirectoryError):
     """Nav2 did not become active."""
 
 
-class TurtleBot3Run:
-    """A testbed that has started, for one run.
+class TurtleBot3Run(TestbedRun):
+    """The testbed, for one run."""
 
-    Parameters
-    ----------
-    recipe
-        Recipe of the run.
-    folder
-        Existing and empty; gets ``bag`` and ``graphs``.
-
-    Attributes
-    ----------
-    domain : Domain
-        The system's graph.
-    node : ScenarioNode or None
-        The mode's node; None until it joins.
-    """
+    _recipe: TurtleBot3Recipe
 
     def __init__(self, recipe: TurtleBot3Recipe, folder: Path) -> None:
-        self._recipe = recipe
-        self._program = compile_document(recipe.mode, recipe.scenario)
-        self._folder = folder
+        super().__init__(recipe, folder)
         session, options = recipe.session, recipe.options
         self._latency_ns = round(session.latency_ms * MILLISECOND)
         self._world = World(_world_parameters(recipe))
@@ -103,9 +83,7 @@ class TurtleBot3Run:
         )
         self._odometer = Odometer(self._executor, lambda: self._world.pose)
         self._patrol_over = False
-        self._start_ns = 0  # of the recording
         self._end_ns = 0
-        self.node: ScenarioNode | None = None
         self._onset_ns: int | None = None
         self._attack_end_ns: int | None = None
 
@@ -127,18 +105,12 @@ class TurtleBot3Run:
         self._start_ns = self._executor.now_ns
         if activation.after == "start":
             self._set_onset(self._start_ns)
-        graphs = self._folder / GRAPHS_FOLDER
-        graphs.mkdir()
-        with BagWriter(self._folder / BAG_FOLDER, self._recipe.storage) as self._bag:
-            options = self._recipe.options
-            recorder = Recorder(
-                self.domain,
-                self._bag,
-                leave_out=DEBUG_TOPICS,
-                hidden_topics=options.hidden_topics,
-                receive_clock=self._receive_clock() if options.receive_stamps else None,
-            )
-            graph = GraphRecorder(self.domain, graphs)
+        options = recipe.options
+        with self._recorded(
+            leave_out=DEBUG_TOPICS,
+            hidden_topics=options.hidden_topics,
+            receive_clock=self._receive_clock() if options.receive_stamps else None,
+        ):
             self._executor.run_until(self._start_ns + BEFORE_FIRST_GOAL_NS)
             navigator.follow(self._recipe.goals, self._on_patrol_over, self._on_goal_accepted)
             timeout_ns = self._start_ns + round(self._recipe.timeout_s * SECOND)
@@ -146,12 +118,10 @@ class TurtleBot3Run:
             if self._patrol_over:
                 self._executor.run_until(self._executor.now_ns + AFTER_LAST_GOAL_NS)
             self._end_ns = self._executor.now_ns
-            recorder.store()
-            graph.finish()
 
     def manifest(self, wall_s: float, software: schema.Software) -> Manifest:
         """Return the facts of the finished run for its manifest."""
-        recipe, scenario = self._recipe, self._program.scenario
+        recipe = self._recipe
         results = tuple(
             map(self._goal_result, self._nav2.navigator.results, self._odometer.distances())
         )
@@ -160,38 +130,20 @@ class TurtleBot3Run:
             (result.outcome for result in results if result.outcome != "succeeded"), "succeeded"
         )
         return Manifest(
-            mode=recipe.mode,
-            label=scenario.label,
-            run=recipe.run,
-            block=recipe.block,
+            **self._facts(wall_s, software),
             session=recipe.session.index,
             world=recipe.world,
-            seed=recipe.seed,
             start=_pose(recipe.start),
             goals=tuple(map(_pose, recipe.goals)),
             goal_results=results,
             outcome=worst,
             onset_s=self._onset_s(),
             attack=self._attack(),
-            attack_seed=recipe.attack_seed(),
-            scenario=scenario.id,
-            scenario_hash=scenario.digest,
-            task_effect=None,  # until both the run and its control exist
             drive=self._drive(),
-            changes=() if self.node is None else self.node.changes(self._start_ns),
             recording_s=self._seconds(self._end_ns),
             contacts=tuple(
                 schema.Contact(self._seconds(touch.stamp_ns), touch.piece)
                 for touch in self._world.touches
-            ),
-            topics=self._bag.topics,
-            content_hash=self._bag.content_hash,
-            recipe=recipe.to_dict(),
-            software=software,
-            measured=schema.Measured(
-                wall_s=wall_s,
-                bytes=bytes_on_disk(self._folder),
-                files=hashes_of_files(self._folder),
             ),
         )
 
@@ -239,15 +191,13 @@ class TurtleBot3Run:
 
     def _start_node(self) -> None:
         """Add the mode's node to the graph."""
-        recipe = self._recipe
-        if recipe.options.wiring == "absent" and not self._program.is_in_place:
+        if self._recipe.options.wiring == "absent" and not self._program.is_in_place:
             return
-        execution = execute(self._program, recipe.attack_seed(), recipe.parameters)
-        self.node = ScenarioNode(self.domain, NODE, execution, latency_ns=self._latency_ns)
+        node = self._join(NODE, self._latency_ns)
         if self._onset_ns is not None:
-            self.node.begin(self._onset_ns)
+            node.begin(self._onset_ns)
         if self._attack_end_ns is not None:
-            self.node.end(self._attack_end_ns)
+            node.end(self._attack_end_ns)
 
     def _delays(self, node: str) -> Delays | None:
         """Return the delays that are added to a node's latency."""

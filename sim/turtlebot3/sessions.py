@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from sim.middleware.delays import Load
 from sim.middleware.geometry import Pose2D
 from sim.nav2.map_server import OccupancyMap
-from sim.seeds import generator
+from sim.seeds import SESSION, generator
 from sim.turtlebot3.map import FREE, OCCUPIED
-from sim.turtlebot3.recipes import SESSION, Session
+from sim.turtlebot3.recipes import Session
 from sim.turtlebot3.sensors import GyroError, LidarNoise, SensorErrors
 
 _MAP = 1  # branch of a session's seed for the errors of its map

@@ -2,11 +2,14 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sim.campaigns import Campaign
-from sim.testbed import Mode, Testbed, TestbedRun
+from sim.testbed import Mode, Testbed
 from sim.turtlebot3.recipes import TurtleBot3Recipe
+
+if TYPE_CHECKING:
+    from sim.testbed_run import TestbedRun
 
 
 def _draw(
@@ -17,7 +20,7 @@ def _draw(
     return draw(mode, run, campaign, parameters)
 
 
-def _bring_up(recipe: TurtleBot3Recipe, folder: Path) -> TestbedRun:
+def _bring_up(recipe: TurtleBot3Recipe, folder: Path) -> "TestbedRun":
     from sim.turtlebot3.run import TurtleBot3Run  # MuJoCo takes long to import
 
     return TurtleBot3Run(recipe, folder)
