@@ -21,8 +21,9 @@ from sim.commands.parameter_values import typed
 from sim.experiments import recipe_of
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.offline import mutate_bag
-from sim.fuzzing.retargeting import MAIN, retargeted
+from sim.fuzzing.retargeting import retargeted
 from sim.fuzzing.scenario import NO_FILE, Scenario
+from sim.fuzzing.topics import MAIN
 from sim.modes import find_mode
 
 

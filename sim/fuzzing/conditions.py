@@ -13,7 +13,6 @@ from oracle_pipeline.bags.errors import OracleError
 from sim.fuzzing.execution import Execution
 from sim.fuzzing.ground_truth import GroundTruth
 from sim.fuzzing.scenario import SET_PARAMETERS
-from sim.fuzzing.topics import altered
 from sim.middleware.domain import Domain
 from sim.middleware.parameters import NodeParameter
 
@@ -115,7 +114,7 @@ def _setting(parameter: NodeParameter, value: float) -> _Change:
 
 
 def _offers(domain: Domain, execution: Execution) -> Iterator[_Change]:
-    for spec in altered(execution.program.scenario.document).values():
+    for spec in execution.program.scenario.altered.values():
         if "qos" in spec:
             yield _offer(domain, spec["input"], spec["qos"])
 

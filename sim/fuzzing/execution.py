@@ -21,6 +21,7 @@ from sim.fuzzing.program import Program, Source
 from sim.fuzzing.random import Draws
 from sim.fuzzing.state_operators import STORED_NS
 from sim.fuzzing.step import ACTIVATION, Step, Term
+from sim.fuzzing.value_types import missing
 from sim.middleware.executor import SECOND
 from sim.middleware.stamps import header as make_header
 from sim.middleware.stamps import stamp_ns as nanoseconds
@@ -134,7 +135,7 @@ class Execution:
                     name: dict(value) if isinstance(value, dict) else value
                     for name, value in program.state.items()
                 },
-                {name: source.value.missing for name, source in program.sources.items()},
+                {name: missing(source.value) for name, source in program.sources.items()},
                 {},
             )
         )

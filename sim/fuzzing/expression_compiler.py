@@ -27,6 +27,7 @@ from sim.fuzzing.value_types import (
     Text,
     Type,
     listable,
+    missing,
     strip_padding,
 )
 
@@ -148,12 +149,12 @@ class ExpressionCompiler(ast.NodeVisitor):
         cost = whole.cost + index.cost + (self._elements if index.vector else 1)
         if isinstance(whole.type, Table) and isinstance(index.type, Text):
             row = whole.type.row
-            missing = row.missing
+            absent = missing(row)
             return self._load(
                 row,
                 False,
                 cost,
-                lambda frame: whole.run(frame).get(strip_padding(index.run(frame)), missing),
+                lambda frame: whole.run(frame).get(strip_padding(index.run(frame)), absent),
             )
         if not isinstance(whole.type, Array) or not isinstance(index.type, Number):
             self._refuse(node, f"{whole.type} has no element [{index.type}]")
@@ -161,12 +162,12 @@ class ExpressionCompiler(ast.NodeVisitor):
         if index.vector and not isinstance(element, Number | Boolean):
             self._refuse(node, f"one {element} at a time: the index must be one number")
         pick = arithmetic.elements if index.vector else arithmetic.element
-        missing = element.missing
+        absent = missing(element)
         return self._load(
             element,
             index.vector,
             cost,
-            lambda frame: pick(whole.run(frame), index.run(frame), missing),
+            lambda frame: pick(whole.run(frame), index.run(frame), absent),
         )
 
     def visit_BinOp(self, node: ast.BinOp) -> _Node:
@@ -265,11 +266,11 @@ class ExpressionCompiler(ast.NodeVisitor):
         if builtin.draws:
             return self._draw(kind, builtin, arguments)
         compute = builtin.evaluate
-        missing = kind.missing if isinstance(kind, Record) else None
+        absent = missing(kind) if isinstance(kind, Record) else None
 
         def run(frame: Frame) -> Any:
             value = compute(*[argument.run(frame) for argument in arguments])
-            return missing if value is None else value
+            return absent if value is None else value
 
         return self._node(kind, arguments, run, work=builtin.work(types))
 

@@ -15,7 +15,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.bags.types import message_class
 from sim.fuzzing.value_types import Array, Boolean, Message, Number, Text, Type
 from sim.jit import jit
 
@@ -158,22 +157,6 @@ def _rounded_message(
         if rounded is not value:
             changed[name] = rounded
     return with_fields(message, changed) if changed else message
-
-
-def zero(kind: Type) -> Any:
-    """Return the value of a type in which every number is 0 and every sequence empty."""
-    match kind:
-        case Message(name, fields):
-            return message_class(name)(*map(zero, fields.values()))
-        case Array(Number() | Boolean() as element, bound, fixed):
-            return np.zeros(bound or 0 if fixed else 0, getattr(element, "kind", "bool"))
-        case Array(element, bound, fixed):
-            return [zero(element) for _ in range(bound or 0)] if fixed else []
-        case Number():
-            return 0 if kind.is_integer else 0.0
-        case Boolean():
-            return False
-    return ""
 
 
 def converter(kind: Type, overflow: Overflow = "wrap") -> Convert:

@@ -230,8 +230,7 @@ def _check_topics(domain: Domain, program: Program) -> None:
         (("sources", name), source.topic, source.type.name)
         for name, source in program.sources.items()
     ]
-    names = ["main", *program.scenario.document.get("also", {})]
-    keys: list[Key] = [(name,) if name == "main" else ("also", name) for name in names]
+    keys = list(program.scenario.altered)
     subscribed += [
         ((*key, "input"), lane.input_topic, lane.type.name)
         for key, lane in zip(keys, program.lanes, strict=True)

@@ -4,10 +4,9 @@ An operator is compiled once against the message type and then called with each 
 """
 
 import dataclasses
-import functools
-import operator
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Self
 
 from sim.fuzzing.compile_context import CompileContext, Spec, Target
@@ -18,7 +17,6 @@ from sim.fuzzing.step import Operator, Step, Term
 from sim.fuzzing.value_operators import (
     LOOP_WORK,
     Arithmetic,
-    Drift,
     MapArray,
     Mutate,
     Noise,
@@ -85,10 +83,10 @@ class _ForEach:
 
 OPERATORS: Mapping[str, Callable[[Spec, Key, CompileContext], Operator]] = {
     "set": Set.compile,
-    "add": functools.partial(Arithmetic.compile, combine=operator.add),
-    "scale": functools.partial(Arithmetic.compile, combine=operator.mul),
+    "add": partial(Arithmetic.compile, amount="by", combine=lambda x, by, _: x + by),
+    "scale": partial(Arithmetic.compile, amount="by", combine=lambda x, by, _: x * by),
     "noise": Noise.compile,
-    "drift": Drift.compile,
+    "drift": partial(Arithmetic.compile, amount="rate", combine=lambda x, rate, t: x + rate * t),
     "map_array": MapArray.compile,
     "for_each": _ForEach.compile,
     "remove_where": RemoveWhere.compile,

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 from sim.fuzzing.compile_context import CompileContext, Spec
-from sim.fuzzing.fields import Convert, Field, converter, with_fields, zero
+from sim.fuzzing.fields import Convert, Field, converter, with_fields
 from sim.fuzzing.scenario import Key
 from sim.fuzzing.step import Step, Term
-from sim.fuzzing.value_types import Message, Number, has_header
+from sim.fuzzing.value_types import Message, Number, has_header, zero
 from sim.middleware.stamps import header as make_header
 
 MAX_OUTPUTS = 1000  # for one message

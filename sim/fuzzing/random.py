@@ -60,11 +60,3 @@ class Draws:
         """
         counter = np.array([0, place & _WORD, operation & _WORD, message & _WORD], np.uint64)
         return np.random.Generator(np.random.Philox(self._key, counter=counter))
-
-    def uniform(self, message: int, operation: int, n: int) -> NDArray[np.float64]:
-        """Return ``n`` draws from [0, 1); the first ones are the same for every ``n``."""
-        return self.generator(message, operation).random(n)
-
-    def normal(self, message: int, operation: int, n: int) -> NDArray[np.float64]:
-        """Return ``n`` standard normal draws; the first ones are the same for every ``n``."""
-        return self.generator(message, operation).standard_normal(n)

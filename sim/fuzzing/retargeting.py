@@ -10,8 +10,7 @@ from collections.abc import Mapping
 from sim.fuzzing.actuation import moves_something
 from sim.fuzzing.program import Program
 from sim.fuzzing.scenario import ScenarioError
-
-MAIN = "main"
+from sim.fuzzing.topics import MAIN
 
 
 def retargeted(

@@ -148,7 +148,7 @@ class Scenario:
     @property
     def needs_simulator(self) -> bool:
         """Whether recordings cannot show its changes: of links, QoS or parameters of nodes."""
-        links = any("to" in each or "qos" in each for each in self._altered)
+        links = any("to" in each or "qos" in each for each in self.altered.values())
         return SET_PARAMETERS in self.document or links
 
     @property
@@ -162,13 +162,16 @@ class Scenario:
         """All topics that it publishes on, with their types."""
         further = self.document.get("outputs", {}).values()
         return [
-            *((each["output"], each["type"]) for each in self._altered),
+            *((each["output"], each["type"]) for each in self.altered.values()),
             *((each["topic"], each["type"]) for each in further),
         ]
 
     @property
-    def _altered(self) -> list[Mapping[str, Any]]:
-        return [self.document["main"], *self.document.get("also", {}).values()]
+    def altered(self) -> dict[Key, Mapping[str, Any]]:
+        """Entries of the topics that it alters by their keys, the main one first."""
+        further = self.document.get("also", {})
+        entries: dict[Key, Mapping[str, Any]] = {("main",): self.document["main"]}
+        return entries | {("also", name): entry for name, entry in further.items()}
 
     @property
     def has_object(self) -> bool:

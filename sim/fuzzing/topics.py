@@ -13,12 +13,6 @@ from sim.fuzzing.value_types import Message, message_type
 MAIN = "main"  # the name of the main topic beside those of ``also``
 
 
-def altered(document: Mapping[str, Any]) -> dict[Key, Mapping[str, Any]]:
-    """Return the entries of a document on altered topics by their keys, the main one first."""
-    also = document.get("also", {})
-    return {(MAIN,): document[MAIN], **{("also", name): spec for name, spec in also.items()}}
-
-
 def type_of(scenario: Scenario, name: str, key: Key) -> Message:
     """Return a message type.
 
@@ -36,7 +30,7 @@ def type_of(scenario: Scenario, name: str, key: Key) -> Message:
 def check_topics(scenario: Scenario, faults: Faults, *, allow_actuation: bool) -> None:
     """Find topics that the scenario may not publish on, or cannot distinguish from others."""
     document = scenario.document
-    lanes = altered(document)
+    lanes = scenario.altered
     sources = {spec["topic"] for spec in document.get("sources", {}).values()}
     spoken = [((*key, "output"), spec["output"], spec["type"]) for key, spec in lanes.items()]
     for name, spec in document.get("outputs", {}).items():

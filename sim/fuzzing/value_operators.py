@@ -45,47 +45,33 @@ class Set:
 
 @dataclass(frozen=True, slots=True)
 class Arithmetic:
-    """Add to a number or to every element of an array, or multiply it."""
+    """Add to a number or to every element of an array, multiply it, or let it drift."""
 
     target: Target
-    by: Term
-    combine: Callable[[Any, Any], Any]
+    amount: Term
+    combine: Callable[[Any, Any, float], Any]  # of numbers, amount and seconds since activation
     cost: int
 
     @classmethod
     def compile(
-        cls, spec: Spec, key: Key, context: CompileContext, *, combine: Callable[[Any, Any], Any]
+        cls,
+        spec: Spec,
+        key: Key,
+        context: CompileContext,
+        *,
+        amount: str,
+        combine: Callable[[Any, Any, float], Any],
     ) -> Self:
-        """Check and compile."""
+        """Check and compile; ``amount`` is the key of the amount."""
         target = Target.of_numbers(spec, key, context)
-        by = context.term(spec["by"], (*key, "by"), Number)
-        return cls(target, by, combine, by.cost + context.width(target.field.type))
+        term = context.term(spec[amount], (*key, amount), Number)
+        return cls(target, term, combine, term.cost + context.width(target.field.type))
 
     def __call__(self, step: Step) -> None:
         """Apply the operator."""
         old, numbers = self.target.numbers(step)
-        self.target.change_numbers(step, old, self.combine(numbers, self.by(step)))
-
-
-@dataclass(frozen=True, slots=True)
-class Drift:
-    """Add an offset that grows with the time since activation, at a rate per second."""
-
-    target: Target
-    rate: Term
-    cost: int
-
-    @classmethod
-    def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
-        """Check and compile."""
-        target = Target.of_numbers(spec, key, context)
-        rate = context.term(spec["rate"], (*key, "rate"), Number)
-        return cls(target, rate, rate.cost + context.width(target.field.type))
-
-    def __call__(self, step: Step) -> None:
-        """Apply the operator."""
-        old, numbers = self.target.numbers(step)
-        self.target.change_numbers(step, old, numbers + self.rate(step) * step.env["t"])
+        new = self.combine(numbers, self.amount(step), step.env["t"])
+        self.target.change_numbers(step, old, new)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ object, an ``Array`` an array or a list, and a ``Table`` a mapping from keys to 
 """
 
 import functools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -39,11 +40,6 @@ class Number:
         """Whether it has no fractions, infinities and NaN."""
         return "int" in self.kind
 
-    @property
-    def missing(self) -> int | float:
-        """Value of a missing number."""
-        return 0 if self.is_integer else float("nan")
-
 
 @dataclass(frozen=True, slots=True)
 class Boolean:
@@ -51,11 +47,6 @@ class Boolean:
 
     def __str__(self) -> str:
         return "boolean"
-
-    @property
-    def missing(self) -> bool:
-        """Value of a missing boolean."""
-        return False
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,11 +57,6 @@ class Text:
 
     def __str__(self) -> str:
         return "text"
-
-    @property
-    def missing(self) -> str:
-        """Value of a missing string."""
-        return ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,15 +80,6 @@ class Array:
     def __str__(self) -> str:
         return f"array of {self.element}"
 
-    @property
-    def missing(self) -> Any:
-        """Value of a missing array."""
-        length = self.bound if self.fixed and self.bound is not None else 0
-        values = [self.element.missing] * length
-        if isinstance(self.element, Number | Boolean):
-            return np.array(values, getattr(self.element, "kind", "bool"))
-        return values
-
 
 @dataclass(frozen=True, slots=True)
 class Record:
@@ -114,22 +91,10 @@ class Record:
     def __str__(self) -> str:
         return self.name
 
-    @property
-    def missing(self) -> Any:
-        """Value of a missing record: every field is missing."""
-        return {name: kind.missing for name, kind in self.fields.items()}
-
 
 @dataclass(frozen=True, slots=True)
 class Message(Record):
     """A ROS message, whose type is its name; an object of its message class at run time."""
-
-    @property
-    def missing(self) -> Any:
-        """A message with every field missing."""
-        return message_class(self.name)(
-            **{name: kind.missing for name, kind in self.fields.items()}
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,11 +106,6 @@ class Table:
 
     def __str__(self) -> str:
         return "table"
-
-    @property
-    def missing(self) -> dict[str, Any]:
-        """An empty table."""
-        return {}
 
 
 Type = Number | Boolean | Text | Array | Record | Table
@@ -194,6 +154,36 @@ def _base_type(kind: str, bound: int) -> Type:
             return Number("uint8")
         case _:
             return Number(kind)
+
+
+def missing(kind: Type) -> Any:
+    """Return the value of an absent element, row or field: NaN, 0, false and empty sequences."""
+    return _empty(kind, math.nan)
+
+
+def zero(kind: Type) -> Any:
+    """Return the value of a type in which every number is 0 and every sequence empty."""
+    return _empty(kind, 0.0)
+
+
+def _empty(kind: Type, number: float) -> Any:
+    match kind:
+        case Message(name, fields):
+            return message_class(name)(*(_empty(field, number) for field in fields.values()))
+        case Record(_, fields):
+            return {name: _empty(field, number) for name, field in fields.items()}
+        case Array(Number() | Boolean() as element, bound, fixed):
+            length = bound or 0 if fixed else 0
+            return np.full(length, _empty(element, number), getattr(element, "kind", "bool"))
+        case Array(element, bound, fixed):
+            return [_empty(element, number) for _ in range(bound or 0)] if fixed else []
+        case Table():
+            return {}
+        case Number():
+            return 0 if kind.is_integer else number
+        case Boolean():
+            return False
+    return ""
 
 
 def strip_padding(text: str) -> str:

@@ -6,7 +6,7 @@ decide whether the robot makes progress and whether it has arrived.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from sim.middleware.executor import MILLISECOND, SECOND, Timer
 from sim.middleware.geometry import Pose2D, wrap_angle
 from sim.middleware.stamps import stamp_ns
 from sim.middleware.tf import TransformBuffer, TransformError
-from sim.nav2.costmap import Costmap2D
+from sim.nav2.costmap_node import LocalCostmap
 from sim.nav2.dwb import Cycle, LocalPlanner
 from sim.nav2.dwb_critics import CostGrid
 from sim.nav2.dwb_sampling import Parameters
@@ -41,25 +41,6 @@ SILENT = {
     "/marker": "visualization_msgs/msg/MarkerArray",
     "/cost_cloud": "sensor_msgs/msg/PointCloud2",
 }
-
-
-class LocalCostmap(Protocol):
-    """Interface of the local costmap node, which the controller server configures and activates."""
-
-    grid: Costmap2D
-    is_current: bool
-
-    def robot_pose(self) -> Pose2D | None:
-        """Return the robot's latest pose in the costmap's frame."""
-
-    def is_ready(self) -> bool:
-        """Return whether it could be activated."""
-
-    def configure(self) -> None:
-        """Configure the node."""
-
-    def activate(self) -> bool:
-        """Activate the node."""
 
 
 class ProgressChecker:

@@ -64,18 +64,6 @@ class Critics(NamedTuple):
     turn: int  # 1 or -1: turn to this side only, 0: to any
 
 
-class _Aims(NamedTuple):
-    """Some of the critics' inputs, without an array, as `Cells` are."""
-
-    left: int
-    low: int
-    goal_x: int
-    goal_y: int
-    nose_x: int
-    nose_y: int
-    align_path: bool
-
-
 @jit
 def _cells_of(grid: CostGrid) -> Cells:
     rows, columns = grid.costs.shape
@@ -176,47 +164,6 @@ def nose(parameters: Parameters, yaw: float) -> tuple[float, float]:
     """Return the position of the point in front of the robot, relative to the robot [m]."""
     distance = parameters.forward_point_distance
     return distance * math.cos(yaw), distance * math.sin(yaw)
-
-
-@jit
-def _aims_of(critics: Critics) -> _Aims:
-    return _Aims(
-        critics.left,
-        critics.low,
-        critics.goal_x,
-        critics.goal_y,
-        critics.nose_x,
-        critics.nose_y,
-        critics.align_path,
-    )
-
-
-@jit
-def _cells_at(
-    distance: NDArray[np.int32], aims: _Aims, here: tuple[int, int], ahead: tuple[int, int]
-) -> tuple[int, int, int, int]:
-    (column, row), (ahead_column, ahead_row) = here, ahead
-    if column < 0 or ahead_column < 0:
-        return -1, -1, -1, -1
-    goal_align = abs(ahead_column - aims.nose_x) + abs(ahead_row - aims.nose_y)
-    goal_dist = abs(column - aims.goal_x) + abs(row - aims.goal_y)
-    path_dist = int(distance[row - aims.low, column - aims.left])
-    path_align = 0
-    if aims.align_path:
-        path_align = int(distance[ahead_row - aims.low, ahead_column - aims.left])
-    return goal_align, path_align, path_dist, goal_dist
-
-
-@jit
-def map_score(parameters: Parameters, grid: CostGrid, cells: tuple[int, int, int, int]) -> float:
-    """Return the weighted sum of what ``map_cells`` returned; infinite outside the costmap."""
-    goal_align, path_align, path_dist, goal_dist = cells
-    if goal_align < 0:
-        return math.inf
-    total = parameters.goal_align_scale * goal_align + parameters.goal_dist_scale * goal_dist
-    total += parameters.path_dist_scale * path_dist
-    total += parameters.path_align_scale * path_align
-    return 0.5 * grid.resolution * float(total)
 
 
 @jit
@@ -367,21 +314,25 @@ def _score(
 ) -> None:
     """Fill in the scores of rollouts by their last points and those in front of them [cells]."""
     # Taken out of the tuples once: their arrays are counted each time that they are.
-    costs, distance = grid.costs, critics.path_distance
-    cells, aims = _cells_of(grid), _aims_of(critics)
+    costs, distance, cells = grid.costs, critics.path_distance, _cells_of(grid)
     near = critics.slowing or critics.rotating
     for i in range(len(forward)):
         v = forward[i]
         if v == 0.0 and w == 0.0:
             continue
-        here = _cell_at(cells, points[i, 0], points[i, 1])
-        ahead = _cell_at(cells, points[i, 2], points[i, 3])
-        scores = _cells_at(distance, aims, here, ahead)
-        if scores[0] < 0 or costs[here[1], here[0]] >= INSCRIBED:
+        column, row = _cell_at(cells, points[i, 0], points[i, 1])
+        ahead, up = _cell_at(cells, points[i, 2], points[i, 3])
+        if column < 0 or ahead < 0 or costs[row, column] >= INSCRIBED:
             continue
-        cost = int(costs[here[1], here[0]])
-        total = map_score(parameters, grid, scores)
+        goal_align = abs(ahead - critics.nose_x) + abs(up - critics.nose_y)
+        goal_dist = abs(column - critics.goal_x) + abs(row - critics.goal_y)
+        total = parameters.goal_align_scale * goal_align + parameters.goal_dist_scale * goal_dist
+        total += parameters.path_dist_scale * distance[row - critics.low, column - critics.left]
+        if critics.align_path:
+            path_align = distance[up - critics.low, ahead - critics.left]
+            total += parameters.path_align_scale * path_align
+        total = 0.5 * grid.resolution * total
         if near:
             rotate = rotate_to_goal(parameters, critics, v, yaw)
             total += parameters.rotate_to_goal_scale * rotate
-        totals[i] = total + parameters.base_obstacle_scale * cost
+        totals[i] = total + parameters.base_obstacle_scale * int(costs[row, column])

@@ -9,7 +9,7 @@ import functools
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy import ndimage
 
 from sim.campaigns import OdometrySource
 from sim.middleware.geometry import Pose2D
@@ -42,7 +42,7 @@ def occupancy_map(arena: Arena) -> OccupancyMap:
     centres = np.column_stack([axis.ravel() for axis in np.meshgrid(x, y)])
     distance = arena.clearance(WORLD_IN_MAP.inverse().apply(centres)).reshape(height, width)
     reachable = distance > 0.0
-    seen = _widened(reachable, 2)
+    seen = ndimage.binary_dilation(reachable, np.ones((5, 5), int))  # within two cells
     data = np.full((height, width), UNKNOWN, np.int8)
     data[reachable] = FREE
     data[seen & (distance <= _BEFORE_M) & (distance > -_BEHIND_M)] = OCCUPIED
@@ -59,17 +59,6 @@ def _extent(arena: Arena) -> tuple[tuple[float, float], tuple[int, int]]:
     cells = np.ceil(np.abs(corners).max(axis=0) / RESOLUTION_M).astype(int).tolist()
     origin = (-RESOLUTION_M * cells[0], -RESOLUTION_M * cells[1])
     return origin, (2 * cells[0], 2 * cells[1])
-
-
-def _widened(cells: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
-    """Return the cells that have one of ``cells`` within so many cells along both axes."""
-    height, width = cells.shape
-    padded = np.pad(cells, reach)
-    rows = np.logical_or.reduce([padded[i : i + height] for i in range(2 * reach + 1)])
-    widened: NDArray[np.bool_] = np.logical_or.reduce(
-        [rows[:, i : i + width] for i in range(2 * reach + 1)]
-    )
-    return widened
 
 
 def odom_in_map(source: OdometrySource, start: Pose2D) -> Pose2D:

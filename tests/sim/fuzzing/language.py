@@ -26,6 +26,7 @@ from sim.fuzzing.value_types import (
     Table,
     Text,
     message_type,
+    missing,
 )
 
 SCAN = "sensor_msgs/msg/LaserScan"
@@ -57,17 +58,17 @@ lengths = st.integers(0, 9)
 @st.composite
 def environments(draw):
     """An environment with arbitrary values for expressions."""
-    scan = message_type(SCAN).missing
+    scan = missing(message_type(SCAN))
     scan.range_min, scan.range_max = draw(reals), draw(reals)
     scan.ranges = draw(hnp.arrays(np.float32, lengths, elements=st.floats(width=32)))
     scan.intensities = draw(hnp.arrays(np.float32, lengths))
-    path = message_type("nav_msgs/msg/Path").missing
-    path.poses = [message_type("geometry_msgs/msg/PoseStamped").missing] * draw(lengths)
+    path = missing(message_type("nav_msgs/msg/Path"))
+    path.poses = [missing(message_type("geometry_msgs/msg/PoseStamped"))] * draw(lengths)
     rows = st.fixed_dictionaries({"lat": reals, "lon": reals, "name": texts})
     n = draw(lengths)
     return {
         "msg": scan,
-        "odom": message_type("nav_msgs/msg/Odometry").missing,
+        "odom": missing(message_type("nav_msgs/msg/Odometry")),
         "path": path,
         "p": {"x": draw(reals), "n": draw(wholes), "on": draw(st.booleans()), "name": draw(texts)},
         "state": {"tracks": draw(st.dictionaries(texts, rows, max_size=4)), "count": draw(wholes)},

@@ -18,6 +18,7 @@ from sim.fuzzing.value_types import (
     INTEGER,
     Number,
     message_type,
+    missing,
 )
 from tests.sim.fuzzing.language import (
     ELEMENT,
@@ -137,7 +138,7 @@ def test_padding_of_a_text_does_not_count(text, padding):
 
 @given(hnp.arrays(np.float32, lengths, elements=st.floats(-9, 9, width=32)), st.data())
 def test_an_element_is_numpys_inside_the_array_and_missing_outside(ranges, data):
-    scan = message_type(SCAN).missing
+    scan = missing(message_type(SCAN))
     scan.ranges = ranges
     index = data.draw(hnp.arrays(np.int64, 6, elements=st.integers(-3, 12)))
     found = compile_expression("msg.ranges[i]", LOOP)({"msg": scan, "i": index})
@@ -146,14 +147,14 @@ def test_an_element_is_numpys_inside_the_array_and_missing_outside(ranges, data)
 
 
 def test_an_index_between_two_elements_is_rounded_down():
-    env = {"msg": message_type(SCAN).missing, "t": 1.9}
+    env = {"msg": missing(message_type(SCAN)), "t": 1.9}
     env["msg"].ranges = np.array([5.0, 6.0, 7.0], np.float32)
     assert compile_expression("msg.ranges[t]", GLOBAL)(env) == 6.0
     assert math.isnan(compile_expression("msg.ranges[-0.5]", GLOBAL)(env))
 
 
 def test_missing_values_are_nan_zero_false_or_the_empty_text():
-    env = {"path": message_type("nav_msgs/msg/Path").missing, "state": {"tracks": {}}}
+    env = {"path": missing(message_type("nav_msgs/msg/Path")), "state": {"tracks": {}}}
     where = compile_expression("path.poses[3].pose.position.x", GLOBAL)
     assert math.isnan(where(env))
     assert compile_expression("path.poses[3].header.frame_id == ''", GLOBAL)(env) is True
@@ -173,7 +174,7 @@ def test_whole_numbers_that_do_not_fit_wrap(value):
 @pytest.mark.parametrize("msgtype", sorted(typestore().fielddefs))
 def test_every_field_of_every_message_can_be_read_with_its_type(msgtype):
     kind = message_type(msgtype)
-    scope, env = Scope({"msg": kind}), {"msg": kind.missing}
+    scope, env = Scope({"msg": kind}), {"msg": missing(kind)}
     for name, field in kind.fields.items():
         expression = compile_expression(f"msg.{name}", scope)
         if isinstance(field, Number):
@@ -191,8 +192,8 @@ def test_a_draw_is_one_an_element_in_a_loop_and_one_elsewhere():
     env = {"rng": draws, "r": np.zeros(5, np.float32), "i": np.arange(5), "b": np.ones(5, bool)}
     together = compile_expression("uniform(0, 1)", LOOP)
     assert together.vector
-    np.testing.assert_array_equal(together(env), Draws(1, 2).uniform(3, 4, 5))
-    assert compile_expression("uniform(0, 1)", GLOBAL)(env) == Draws(1, 2).uniform(3, 4, 1)[0]
+    np.testing.assert_array_equal(together(env), Draws(1, 2).generator(3, 4).random(5))
+    assert compile_expression("uniform(0, 1)", GLOBAL)(env) == Draws(1, 2).generator(3, 4).random()
 
 
 def test_two_draws_in_one_expression_are_independent():

@@ -5,8 +5,17 @@ from hypothesis import strategies as st
 
 from oracle_pipeline.bags.types import deserialize, typestore
 from sim.fuzzing.field_mutations import MUTATIONS, FieldMutator
-from sim.fuzzing.fields import replaced, zero
-from sim.fuzzing.value_types import BOOLEAN, Array, Boolean, Message, Number, Text, message_type
+from sim.fuzzing.fields import replaced
+from sim.fuzzing.value_types import (
+    BOOLEAN,
+    Array,
+    Boolean,
+    Message,
+    Number,
+    Text,
+    message_type,
+    zero,
+)
 from tests.sim.fuzzing.workbench import data, doing, frozen, results, scan, scans, stamp
 
 KINDS = list(MUTATIONS)

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from sim.fuzzing.fields import converter, difference, replaced, zero
+from sim.fuzzing.fields import converter, difference, replaced
 from sim.fuzzing.random import Draws
-from sim.fuzzing.value_types import Array, Number, Text, message_type
+from sim.fuzzing.value_types import Array, Number, Text, message_type, zero
 from tests.sim.fuzzing.workbench import data, doing, only, ranges, results, scan, stamp
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -160,7 +160,7 @@ def test_noise_on_one_number_is_drawn_as_for_an_array_of_one():
     compiled = doing("noise: {field: range, dist: uniform, absolute: 0.5}", msgtype=RANGE)
     heard = only(compiled, message(RANGE, range=1.0))
     (noise,) = compiled.actions[0].do
-    (draw,) = Draws(1, 0).uniform(0, noise.number, 1)
+    draw = Draws(1, 0).generator(0, noise.number).random()
     assert heard.range == np.float32(1.0 + (draw - 0.5))
 
 

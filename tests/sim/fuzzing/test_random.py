@@ -11,23 +11,31 @@ seeds = st.builds(Draws, words, words)
 counts = st.integers(0, 50)
 
 
+def uniform(draws, message, operation, n):
+    return draws.generator(message, operation).random(n)
+
+
+def normal(draws, message, operation, n):
+    return draws.generator(message, operation).standard_normal(n)
+
+
 @given(seeds, words, words, st.lists(st.tuples(words, words, counts), max_size=5))
 def test_a_draw_is_the_same_whatever_was_drawn_before(draws, message, operation, others):
     fresh = Draws(draws.run_seed, draws.scenario_seed)
     for other in others:
-        draws.uniform(*other)
-        draws.normal(*other)
-    for law in ("uniform", "normal"):
+        uniform(draws, *other)
+        normal(draws, *other)
+    for law in (uniform, normal):
         np.testing.assert_array_equal(
-            getattr(draws, law)(message, operation, 20), getattr(fresh, law)(message, operation, 20)
+            law(draws, message, operation, 20), law(fresh, message, operation, 20)
         )
 
 
 @given(seeds, words, words, counts, counts)
 def test_the_first_draws_do_not_depend_on_how_many_follow(draws, message, operation, n, more):
-    for law in (draws.uniform, draws.normal):
+    for law in (uniform, normal):
         np.testing.assert_array_equal(
-            law(message, operation, n), law(message, operation, n + more)[:n]
+            law(draws, message, operation, n), law(draws, message, operation, n + more)[:n]
         )
 
 
@@ -41,18 +49,18 @@ def test_other_seeds_messages_operations_and_places_draw_other_numbers(keys):
 
 
 def test_the_seeds_are_not_exchangeable_and_neither_are_message_and_operation():
-    one = Draws(1, 2).uniform(3, 4, 8)
-    assert not np.array_equal(one, Draws(2, 1).uniform(3, 4, 8))
-    assert not np.array_equal(one, Draws(1, 2).uniform(4, 3, 8))
+    one = uniform(Draws(1, 2), 3, 4, 8)
+    assert not np.array_equal(one, uniform(Draws(2, 1), 3, 4, 8))
+    assert not np.array_equal(one, uniform(Draws(1, 2), 4, 3, 8))
 
 
 def test_draws_of_neighbouring_messages_are_uniform_and_normal():
     draws = Draws(7, 11)
-    uniform = np.concatenate([draws.uniform(message, 0, 50) for message in range(400)])
-    normal = np.concatenate([draws.normal(message, 0, 50) for message in range(400)])
-    assert ((uniform >= 0.0) & (uniform < 1.0)).all()
+    even = np.concatenate([uniform(draws, message, 0, 50) for message in range(400)])
+    bell = np.concatenate([normal(draws, message, 0, 50) for message in range(400)])
+    assert ((even >= 0.0) & (even < 1.0)).all()
     # Five standard errors of the mean and of the variance of 20,000 draws.
-    assert abs(uniform.mean() - 0.5) < 5 * np.sqrt(1 / 12 / 20_000)
-    assert abs(uniform.var() - 1 / 12) < 5 * np.sqrt(1 / 180 / 20_000)
-    assert abs(normal.mean()) < 5 / np.sqrt(20_000)
-    assert abs(normal.var() - 1.0) < 5 * np.sqrt(2 / 20_000)
+    assert abs(even.mean() - 0.5) < 5 * np.sqrt(1 / 12 / 20_000)
+    assert abs(even.var() - 1 / 12) < 5 * np.sqrt(1 / 180 / 20_000)
+    assert abs(bell.mean()) < 5 / np.sqrt(20_000)
+    assert abs(bell.var() - 1.0) < 5 * np.sqrt(2 / 20_000)

@@ -10,9 +10,8 @@ from hypothesis.extra import numpy as hnp
 from oracle_pipeline.bags.types import message_class, serialize
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.execution import execute
-from sim.fuzzing.fields import zero
 from sim.fuzzing.scenario import parse_scenarios
-from sim.fuzzing.value_types import message_type
+from sim.fuzzing.value_types import message_type, zero
 from sim.middleware.geometry import yaw_quaternion
 from sim.middleware.stamps import header
 from sim.scenarios import builtin_scenarios

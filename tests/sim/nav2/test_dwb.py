@@ -346,7 +346,10 @@ def tried_one_by_one(p, grid, pose, velocity, critics):
             cells = map_cells(p, grid, critics, poses[-1])
             if cells is None:
                 continue
-            total = dwb_critics.map_score(p, grid, cells)
+            goal_align, path_align, path_dist, goal_dist = cells
+            total = p.goal_align_scale * goal_align + p.goal_dist_scale * goal_dist
+            total += p.path_dist_scale * path_dist
+            total = 0.5 * grid.resolution * (total + p.path_align_scale * path_align)
             total += p.rotate_to_goal_scale * dwb_critics.rotate_to_goal(
                 p, critics, v, poses[-1, 2]
             )
