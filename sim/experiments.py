@@ -2,6 +2,8 @@
 
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from oracle_pipeline.bags.errors import RunDirectoryError
@@ -20,6 +22,22 @@ if TYPE_CHECKING:
     from sim.testbed_run import TestbedRun
 
 Comparison = Literal["same messages", "other software", "other recipe", "unexplained"]
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One run to make."""
+
+    mode: Mode
+    root: Path  # of the run directories
+    run: int
+    block: int
+    given: Mapping[str, Any] = field(default_factory=dict)  # values of parameters, as `recipe_for`
+
+    @property
+    def directory(self) -> RunDirectory:
+        """Run directory of the run."""
+        return RunDirectory(self.root, self.mode.id, self.run)
 
 
 def recipe_for(
@@ -86,6 +104,12 @@ def record_run(
     if directory.is_complete() and not refresh:
         return _verified(directory, recipe)
     return _make(recipe, directory, accompany=accompany)
+
+
+def record_job(campaign: Campaign, refresh: bool, job: Job) -> Manifest:
+    """Make the run of a job, as ``record_run`` does."""
+    recipe = recipe_for(job.mode, job.block, campaign, job.given)
+    return record_run(replace(recipe, run=job.run), job.directory, refresh=refresh)
 
 
 def remake_run(former: Manifest, directory: RunDirectory) -> Manifest:

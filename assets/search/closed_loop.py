@@ -25,8 +25,8 @@ from oracle_pipeline.scoring.isolation import Extracted, extracted
 from oracle_pipeline.scoring.judging import judge
 from oracle_pipeline.scoring.verdict import Verdict
 from sim.campaigns import Campaign
-from sim.commands.kill_matrix import Job, derive_mutant, record_mutant
-from sim.experiments import recipe_for, record_run
+from sim.commands.kill_matrix import derive_mutant
+from sim.experiments import Job, recipe_for, record_job, record_run
 from sim.fuzzing.scenario import NO_FILE, Scenario
 from sim.pairs import CONTROL
 from sim.testbed import Mode
@@ -71,11 +71,6 @@ class Proposal:
     block: int
     document: Mapping[str, Any]
     values: Mapping[str, Any]
-
-    @property
-    def given(self) -> Mapping[str, Any]:
-        """Further parameters: none, because the scenario's defaults are the proposal."""
-        return {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,13 +133,13 @@ def run_trial(setting: Setting, controls: Path, proposal: Proposal) -> Finding:
     with tempfile.TemporaryDirectory(prefix="oracle-search-") as folder:
         root = Path(folder)
         if setting.screen and not mode.scenario.needs_simulator:
-            altered = Job(mode, root / "altered", proposal)
+            altered = Job(mode, root / "altered", proposal.run, proposal.block)
             manifest = derive_mutant(control.path.parent, False, altered)
             judged = _Judged.of(setting, altered.directory)
             if judged.verdict.outcome == "anomalous":
                 return _finding(proposal, manifest, judged, control, setting, ran=False)
-        run = Job(mode, root / "closed_loop", proposal)
-        manifest = record_mutant(setting.campaign, False, run)
+        run = Job(mode, root / "closed_loop", proposal.run, proposal.block)
+        manifest = record_job(setting.campaign, False, run)
         judged = _Judged.of(setting, run.directory)
         return _finding(proposal, manifest, judged, control, setting, ran=True)
 

@@ -6,13 +6,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, get_args
 
 import click
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Manifest
-from oracle_pipeline.bags.run_directory import RunDirectory
 from sim.campaigns import (
     DEFAULT_SEED,
     ArenaChoice,
@@ -25,11 +24,17 @@ from sim.campaigns import (
     Wiring,
 )
 from sim.commands.progress import RunProgress, pace
+from sim.experiments import Job
 from sim.fan_out import fan_out, process_pool
 from sim.modes import modes
 
-J = TypeVar("J")
 Command = Callable[..., None]
+
+
+def home() -> Path:
+    """Return the default root of runs."""
+    return Path(os.environ.get("ORACLE_HOME", "data"))
+
 
 seed_option = click.option(
     "--seed", default=DEFAULT_SEED, show_default=True, type=click.IntRange(min=0),
@@ -49,6 +54,14 @@ def mode_option(default: str | None = None) -> Callable[[Command], Command]:
     )  # fmt: skip
 
 
+number_option = click.option(
+    "-n", "--number", default=1, show_default=True, type=click.IntRange(min=1),
+    help="How many runs: run000, run001, ...",
+)  # fmt: skip
+out_option = click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), default=home,
+    help="Root of the run directories.  [default: $ORACLE_HOME or ./data]",
+)  # fmt: skip
 workers_option = click.option(
     "--workers", default=lambda: os.cpu_count() or 1, type=click.IntRange(min=1),
     help="Number of runs at the same time.  [default: one for each core]",
@@ -145,11 +158,6 @@ def short_errors() -> Iterator[None]:
         raise click.ClickException(str(error)) from error
 
 
-def home() -> Path:
-    """Return the default root of runs."""
-    return Path(os.environ.get("ORACLE_HOME", "data"))
-
-
 def campaign_options(command: Command) -> Command:
     """Add the options that ``campaign`` takes to a command."""
     for option in reversed(_CAMPAIGN_OPTIONS):
@@ -171,30 +179,22 @@ def campaign(options: Mapping[str, Any]) -> Campaign:
     )
 
 
-def make_runs(
-    make: Callable[[J], Manifest],
-    jobs: Sequence[J],
-    place: Callable[[J], RunDirectory],
-    workers: int,
-) -> None:
+def make_runs(make: Callable[[Job], Manifest], jobs: Sequence[Job], workers: int) -> None:
     """Make all runs, several at a time, and print a line on each; exit with 1 if any failed.
 
     Parameters
     ----------
     make
-        Makes one run, or returns the manifest of an existing one. It and the jobs must be
-        picklable.
+        Makes one run, or returns the manifest of an existing one; it must be picklable.
     jobs
         One for each run.
-    place
-        Returns the directory of a job's run.
     workers
         Number of runs at the same time.
     """
     failed = 0
     with RunProgress(len(jobs)) as progress:
         for outcome in fan_out(make, jobs, lambda: process_pool(min(workers, len(jobs)))):
-            directory = place(outcome.job)
+            directory = outcome.job.directory
             if outcome.result is None:
                 failed += 1
                 click.echo(f"{directory.key}: {outcome.error}", err=True)

@@ -22,14 +22,13 @@ from sim.commands.batch import (
 )
 from sim.commands.kill_matrix import (
     Grid,
-    Job,
     derive_mutant,
     mutants,
-    record_mutant,
     write_index,
 )
 from sim.commands.magnitudes import BUILT_IN, sweeps_of
 from sim.commands.parameter_values import sweep
+from sim.experiments import Job, record_job
 from sim.modes import find_mode
 from sim.scenarios import builtin_scenarios
 from sim.testbed import Mode
@@ -103,12 +102,12 @@ def grid(
         grids = [_grid(mode, texts, blocks, _root(out, mode, all_attacks)) for mode in modes]
     make: Callable[[Job], Manifest]
     if controls is None:
-        make = functools.partial(record_mutant, campaign(options), refresh)
+        make = functools.partial(record_job, campaign(options), refresh)
     else:
         make = functools.partial(derive_mutant, controls, refresh)
     jobs = [job for grid in grids for job in grid.jobs()]
     try:
-        make_runs(make, jobs, lambda job: job.directory, workers)
+        make_runs(make, jobs, workers)
     finally:
         for grid in grids:
             click.echo(f"{write_index(grid)}: {len(grid.mutants)} mutants")

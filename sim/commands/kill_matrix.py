@@ -9,10 +9,10 @@ import dataclasses
 import json
 import shutil
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.bags.integrity import hashes_of_files, require_undamaged
@@ -25,30 +25,13 @@ from oracle_pipeline.bags.run_directory import (
     RunDirectory,
     bytes_on_disk,
 )
-from sim.campaigns import Campaign
 from sim.commands.parameter_values import Sweep
-from sim.experiments import recipe_for, recipe_of, record_run
+from sim.experiments import Job, recipe_for, recipe_of
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.offline import Summary, mutate_bag
 from sim.software import software
 from sim.testbed import Mode
 from sim.testbeds import TESTBEDS, which_testbed
-
-
-class Variant(Protocol):
-    """One run whose parameters are chosen, not drawn."""
-
-    @property
-    def run(self) -> int:
-        """Its number."""
-
-    @property
-    def block(self) -> int:
-        """The block whose start, goals and session it has."""
-
-    @property
-    def given(self) -> Mapping[str, Any]:
-        """The parameters whose values are chosen here."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +42,6 @@ class Mutant:
     block: int
     parameter: str
     value: float
-
-    @property
-    def given(self) -> Mapping[str, float]:
-        """The parameters whose values are chosen here."""
-        return {self.parameter: self.value}
 
 
 def mutants(sweeps: Sequence[Sweep], blocks: int) -> list[Mutant]:
@@ -87,31 +65,12 @@ class Grid:
     root: Path
     mutants: tuple[Mutant, ...]
 
-    def jobs(self) -> list["Job"]:
+    def jobs(self) -> list[Job]:
         """Return the work on each mutant."""
-        return [Job(self.mode, self.root, mutant) for mutant in self.mutants]
-
-
-@dataclass(frozen=True, slots=True)
-class Job:
-    """The work on one mutant."""
-
-    mode: Mode
-    root: Path
-    mutant: Variant
-
-    @property
-    def directory(self) -> RunDirectory:
-        """Run directory of the mutant."""
-        return RunDirectory(self.root, self.mode.id, self.mutant.run)
-
-
-def record_mutant(campaign: Campaign, refresh: bool, job: Job) -> Manifest:
-    """Record a mutant in closed loop; raises as ``record_run`` does."""
-    mutant = job.mutant
-    recipe = recipe_for(job.mode, mutant.block, campaign, mutant.given)
-    recipe = dataclasses.replace(recipe, run=mutant.run)
-    return record_run(recipe, job.directory, refresh=refresh)
+        return [
+            Job(self.mode, self.root, mutant.run, mutant.block, {mutant.parameter: mutant.value})
+            for mutant in self.mutants
+        ]
 
 
 def derive_mutant(controls: Path, refresh: bool, job: Job) -> Manifest:
@@ -124,12 +83,12 @@ def derive_mutant(controls: Path, refresh: bool, job: Job) -> Manifest:
     OracleError
         If the run does not exist, lacks a topic of the scenario, or cannot be mutated.
     """
-    mode, mutant = job.mode, job.mutant
-    control = controls / f"run{mutant.block:03d}"
+    mode = job.mode
+    control = controls / f"run{job.block:03d}"
     original = Manifest.load(control / MANIFEST_FILE)
     require_undamaged(control, original)
-    recipe = recipe_for(mode, original.block, recipe_of(original).campaign(), mutant.given)
-    recipe = dataclasses.replace(recipe, run=mutant.run)
+    recipe = recipe_for(mode, original.block, recipe_of(original).campaign(), job.given)
+    recipe = dataclasses.replace(recipe, run=job.run)
     document = {**recipe.to_dict(), "mutant_of": original.content_hash}
     directory = job.directory
     if directory.is_complete() and not refresh:
@@ -153,7 +112,7 @@ def derive_mutant(controls: Path, refresh: bool, job: Job) -> Manifest:
         shutil.copytree(control / GRAPHS_FOLDER, folder / GRAPHS_FOLDER)
         manifest = dataclasses.replace(
             _mutated(original, mode, summary),
-            run=mutant.run,
+            run=job.run,
             attack_seed=recipe.attack_seed(),
             attack={"frame": "odom", **recipe.parameters}
             if mode.scenario.has_object

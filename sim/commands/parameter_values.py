@@ -64,7 +64,7 @@ def _typed(parameter: Parameter, text: str) -> Any:
     return text
 
 
-def draw(mode: Mode, rng: np.random.Generator) -> dict[str, Any]:
+def draw(program: Program, rng: np.random.Generator) -> dict[str, Any]:
     """Draw a value uniformly for every number that has bounds; integers include both bounds.
 
     Parameters that the block draws, or that have no bounds, keep their values.
@@ -74,11 +74,11 @@ def draw(mode: Mode, rng: np.random.Generator) -> dict[str, Any]:
     ParameterError
         If there is nothing to draw.
     """
-    program = compile_scenario(mode.scenario, allow_actuation=True)
+    scenario = program.scenario
     drawn: dict[str, Any] = {}
     for name, parameter in program.parameters.items():
         low, high = parameter.low, parameter.high
-        if name in mode.scenario.drawn or low is None or high is None:
+        if name in scenario.drawn or low is None or high is None:
             continue
         match parameter.type:
             case Number(is_integer=True):
@@ -88,7 +88,7 @@ def draw(mode: Mode, rng: np.random.Generator) -> dict[str, Any]:
                 drawn[name] = float(rng.uniform(low, high))
     if not drawn:
         raise ParameterError(
-            f"{mode.scenario.file}: {mode.id} has no parameter to draw: give numbers a min and a "
+            f"{scenario.file}: {scenario.id} has no parameter to draw: give numbers a min and a "
             "max, and leave drawn out."
         )
     return drawn

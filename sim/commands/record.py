@@ -6,20 +6,18 @@ from typing import Any
 
 import click
 
-from oracle_pipeline.bags.manifest import Manifest
-from oracle_pipeline.bags.run_directory import RunDirectory
-from sim.campaigns import Campaign
 from sim.commands.batch import (
     allow_actuation_option,
     campaign,
     campaign_options,
-    home,
     make_runs,
     mode_option,
+    number_option,
+    out_option,
     refresh_option,
     workers_option,
 )
-from sim.experiments import recipe_for, record_run
+from sim.experiments import Job, record_job
 from sim.fuzzing.scenario import ScenarioError
 from sim.modes import broken_scenarios, find_mode
 from sim.testbed import Mode
@@ -33,10 +31,7 @@ from sim.testbed import Mode
     "built-in scenario that is not a mode, by its name.",
 )  # fmt: skip
 @allow_actuation_option
-@click.option(
-    "-n", "--number", default=1, show_default=True, type=click.IntRange(min=1),
-    help="How many runs: run000, run001, ...",
-)  # fmt: skip
+@number_option
 @click.option(
     "--first-block", default=0, show_default=True, type=click.IntRange(min=0),
     help="Block of the first run; run007 is of block 7.",
@@ -45,11 +40,7 @@ from sim.testbed import Mode
     "--session", type=click.IntRange(min=0),
     help="Session of all runs.  [default: as --sessions says]",
 )  # fmt: skip
-@click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False),
-    default=home,
-    help="Root of the run directories.  [default: $ORACLE_HOME or ./data]",
-)  # fmt: skip
+@out_option
 @campaign_options
 @workers_option
 @refresh_option
@@ -79,9 +70,9 @@ def record(
     for broken in broken_scenarios():
         click.echo(f"Left out: {broken}", err=True)
     experiment = _experiment(mode, scenario, allow_actuation=allow_actuation)
-    job = functools.partial(_record, experiment, campaign(options), out, refresh)
     blocks = range(first_block, first_block + number)
-    make_runs(job, blocks, functools.partial(RunDirectory, out, experiment.id), workers)
+    jobs = [Job(experiment, out, block, block) for block in blocks]
+    make_runs(functools.partial(record_job, campaign(options), refresh), jobs, workers)
 
 
 def _experiment(mode: str | None, scenario: str | None, *, allow_actuation: bool) -> Mode:
@@ -91,9 +82,3 @@ def _experiment(mode: str | None, scenario: str | None, *, allow_actuation: bool
         return find_mode(mode or scenario or "", allow_actuation=allow_actuation)
     except ScenarioError as error:
         raise click.BadParameter(str(error), param_hint="--scenario") from error
-
-
-def _record(mode: Mode, settings: Campaign, out: Path, refresh: bool, run: int) -> Manifest:
-    return record_run(
-        recipe_for(mode, run, settings), RunDirectory(out, mode.id, run), refresh=refresh
-    )

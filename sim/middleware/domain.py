@@ -165,30 +165,6 @@ class Domain:
         """Yield the subscriptions of one topic, or of all."""
         yield from _endpoints(self._subscriptions, topic)
 
-    def publishers_of(self, node: str) -> dict[str, str]:
-        """Return topic -> type of what a node publishes, as ``ros2 node info`` does."""
-        return {p.topic: p.msgtype for p in self.publishers() if p.node == node}
-
-    def subscriptions_of(self, node: str) -> dict[str, str]:
-        """Return topic -> type of what a node subscribes to."""
-        return {s.topic: s.msgtype for s in self.subscriptions() if s.node == node}
-
-    def services_of(self, node: str) -> dict[str, str]:
-        """Return service -> type of what a node offers."""
-        return {s.name: s.srvtype for s in self._services.values() if s.node == node}
-
-    def clients_of(self, node: str) -> dict[str, str]:
-        """Return service -> type of what a node calls."""
-        return {name: srvtype for owner, name, srvtype in self._clients if owner == node}
-
-    def action_servers_of(self, node: str) -> dict[str, str]:
-        """Return action -> type of what a node serves."""
-        return {a.name: a.action_type for a in self._action_servers.values() if a.node == node}
-
-    def action_clients_of(self, node: str) -> dict[str, str]:
-        """Return action -> type of what a node requests."""
-        return {name: kind for owner, name, kind in self._action_clients if owner == node}
-
     def services(self) -> Iterator[Offer]:
         """Yield the services of all nodes, those of actions included."""
         for service in self._services.values():

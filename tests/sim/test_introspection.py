@@ -14,6 +14,13 @@ from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE
 from oracle_pipeline.bags.writer import BagWriter
 from sim.campaigns import Campaign
 from tests.sim import humble
+from tests.sim.introspection import (
+    action_clients_of,
+    action_servers_of,
+    clients_of,
+    publishers_of,
+    services_of,
+)
 from tests.sim.system import ADDED_NODES, LESS, MORE, NODES, RUN, System
 
 ENDS = ("publishes", "subscribes")
@@ -146,7 +153,7 @@ def test_the_recorder_receives_every_visible_topic_with_the_offered_qos(domain):
         assert is_reliable(qos) == all(map(is_reliable, offered[topic]))
         assert is_latched(qos) == all(map(is_latched, offered[topic]))
         assert qos.depth == 10
-    assert set(domain.publishers_of(humble.RECORDER)) == {"/rosout", "/events/write_split"}
+    assert set(publishers_of(domain, humble.RECORDER)) == {"/rosout", "/events/write_split"}
 
 
 @pytest.mark.parametrize("node", NODES)
@@ -158,9 +165,9 @@ def test_a_node_offers_and_calls_the_services_of_the_real_one(domain, node):
             expected |= {f"{name}/{s}": kind for s, kind in humble.PARAMETER_SERVICES.items()}
         if "L" in codes:
             expected |= {f"{name}/{s}": kind for s, kind in humble.LIFECYCLE_SERVICES.items()}
-        offered = domain.services_of(name).items()
+        offered = services_of(domain, name).items()
         assert {s: kind for s, kind in offered if not is_hidden(s)} == expected
-        assert domain.clients_of(name) == humble.SERVICE_CLIENTS.get(node, {})
+        assert clients_of(domain, name) == humble.SERVICE_CLIENTS.get(node, {})
 
 
 @pytest.mark.parametrize("action", humble.ACTIONS)
@@ -168,12 +175,12 @@ def test_an_action_has_the_server_the_clients_and_the_hidden_names_of_the_real_o
     name, server, clients = humble.ACTIONS[action]
     kind = f"nav2_msgs/action/{name}"
     nodes = domain.node_names()
-    assert {n: domain.action_servers_of(n)[action] for n in nodes
-            if action in domain.action_servers_of(n)} == {server: kind}  # fmt: skip
-    assert {n: domain.action_clients_of(n)[action] for n in nodes
-            if action in domain.action_clients_of(n)} == dict.fromkeys(clients, kind)  # fmt: skip
+    assert {n: action_servers_of(domain, n)[action] for n in nodes
+            if action in action_servers_of(domain, n)} == {server: kind}  # fmt: skip
+    assert {n: action_clients_of(domain, n)[action] for n in nodes
+            if action in action_clients_of(domain, n)} == dict.fromkeys(clients, kind)  # fmt: skip
     assert {
-        s: t for s, t in domain.services_of(server).items() if s.startswith(f"{action}/_action/")
+        s: t for s, t in services_of(domain, server).items() if s.startswith(f"{action}/_action/")
     } == {
         f"{action}/_action/send_goal": f"{kind}_SendGoal",
         f"{action}/_action/get_result": f"{kind}_GetResult",
@@ -192,7 +199,7 @@ def test_an_action_has_the_server_the_clients_and_the_hidden_names_of_the_real_o
 
 
 def test_actions_are_those_of_the_real_system(domain):
-    served = [action for n in domain.node_names() for action in domain.action_servers_of(n)]
+    served = [action for n in domain.node_names() for action in action_servers_of(domain, n)]
     assert Counter(served) == dict.fromkeys(humble.ACTIONS, 1)
 
 

@@ -18,6 +18,7 @@ from sim.middleware.stamps import stamp_ns
 from sim.nav2.amcl import TRANSFORM_TOLERANCE_NS
 from sim.nav2.lifecycle import State
 from tests.sim import humble
+from tests.sim.introspection import clients_of, publishers_of, services_of, subscriptions_of
 from tests.sim.system import NODES, System
 
 Header = message_class("std_msgs/msg/Header")
@@ -147,8 +148,8 @@ def test_every_published_message_is_received(drive, node):
 
 def test_names_are_full_ros_names(drive, node):
     name = drive.names[node]
-    topics = [*drive.domain.publishers_of(name), *drive.domain.subscriptions_of(name)]
-    services = [*drive.domain.services_of(name), *drive.domain.clients_of(name)]
+    topics = [*publishers_of(drive.domain, name), *subscriptions_of(drive.domain, name)]
+    services = [*services_of(drive.domain, name), *clients_of(drive.domain, name)]
     for each in (name, *topics, *services):
         assert NAME.fullmatch(each)
         assert "__" not in each
@@ -157,7 +158,7 @@ def test_names_are_full_ros_names(drive, node):
 
 def test_every_node_logs_and_types_are_known(drive, node):
     name = drive.names[node]
-    published, heard = drive.domain.publishers_of(name), drive.domain.subscriptions_of(name)
+    published, heard = publishers_of(drive.domain, name), subscriptions_of(drive.domain, name)
     assert published["/rosout"] == "rcl_interfaces/msg/Log"
     for msgtype in {*published.values(), *heard.values()}:
         assert is_dataclass(message_class(msgtype))
@@ -178,14 +179,14 @@ def test_a_subscription_is_connected_to_every_publisher_of_its_topic(drive, node
 def test_a_lifecycle_node_comes_up_in_order_and_does_nothing_before_it_is_activated(drive, node):
     name = drive.names[node]
     said = {p.topic: heard for p, heard in drive.publishers(node)}
-    services = set(drive.domain.services_of(name))
+    services = set(services_of(drive.domain, name))
     event = f"{name}/transition_event"
     is_lifecycle = f"{name}/change_state" in services
     assert is_lifecycle == (event in said)
     if not is_lifecycle:
         return
     assert {f"{name}/{service}" for service in humble.LIFECYCLE_SERVICES} <= services
-    kind = drive.domain.publishers_of(name)[event]
+    kind = publishers_of(drive.domain, name)[event]
     events = [deserialize(data, kind) for _, _, data in said[event]]
     steps = [State.UNCONFIGURED, State.CONFIGURING, State.INACTIVE, State.ACTIVATING, State.ACTIVE]
     assert [(e.start_state.id, e.goal_state.id) for e in events] == list(itertools.pairwise(steps))

@@ -26,6 +26,7 @@ parameters:
 """
     )
 )
+PROGRAM = compile_scenario(MODE.scenario)
 levels = st.floats(0.001, 1.0)
 
 
@@ -67,24 +68,24 @@ def test_a_sweep_that_cannot_be_is_refused(text, expected):
 
 @given(st.integers(0, 2**32))
 def test_drawn_values_are_within_bounds_and_others_are_unchanged(seed):
-    drawn = draw(MODE, np.random.default_rng(seed))
+    drawn = draw(PROGRAM, np.random.default_rng(seed))
     assert list(drawn) == ["level", "rays"]
     assert 0.0 <= drawn["level"] <= 1.0
     assert drawn["rays"] in range(1, 6)
     execute(compile_scenario(MODE.scenario), 1, drawn)
-    assert drawn == draw(MODE, np.random.default_rng(seed))
+    assert drawn == draw(PROGRAM, np.random.default_rng(seed))
 
 
 def test_integers_are_drawn_uniformly_with_both_bounds():
     rng = np.random.default_rng(1)
-    counts = np.bincount([draw(MODE, rng)["rays"] for _ in range(500)], minlength=6)[1:]
+    counts = np.bincount([draw(PROGRAM, rng)["rays"] for _ in range(500)], minlength=6)[1:]
     assert len(counts) == 5
     assert (abs(counts - 100) < 5 * np.sqrt(500 * 0.2 * 0.8)).all()
 
 
 def test_a_scenario_with_nothing_to_draw_is_refused():
     with pytest.raises(ParameterError, match="lidar_passthrough has no parameter to draw"):
-        draw(find_mode("lidar_passthrough"), np.random.default_rng(1))
+        draw(compile_scenario(find_mode("lidar_passthrough").scenario), np.random.default_rng(1))
 
 
 def test_words_become_values_of_the_parameters_type():

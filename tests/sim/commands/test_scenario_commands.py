@@ -20,10 +20,11 @@ from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.types import TypeDefinition, serialize
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.opened_run import open_run
-from sim.commands.kill_matrix import Job, Mutant, derive_mutant, mutants
+from sim.commands.kill_matrix import derive_mutant, mutants
 from sim.commands.magnitudes import BUILT_IN, WITHOUT, sweeps_of
 from sim.commands.main import main
 from sim.commands.parameter_values import ParameterError, Sweep
+from sim.experiments import Job
 from sim.fuzzing.scenario import parse_scenarios
 from sim.modes import FOLDER, find_mode
 from sim.scenarios import builtin_scenarios
@@ -261,8 +262,7 @@ def test_a_grid_is_indexed_as_far_as_there_are_runs_with_its_equivalent_mutants(
 
 def test_a_mutant_of_a_run_is_a_run_of_its_block(controls, tmp_path):
     mode = find_mode("fake_object")
-    cell = Mutant(7, 0, "radius", 0.3)
-    manifest = derive_mutant(controls, False, Job(mode, tmp_path, cell))
+    manifest = derive_mutant(controls, False, Job(mode, tmp_path, 7, 0, {"radius": 0.3}))
     original = Manifest.load(controls / "run000" / "manifest.json")
     with open_run(tmp_path / "runs/fake_object/run007") as opened:
         assert opened.manifest == manifest
@@ -279,14 +279,14 @@ def test_a_mutant_of_a_run_is_a_run_of_its_block(controls, tmp_path):
 
 def test_an_existing_mutant_is_kept_and_not_replaced_by_another(controls, tmp_path):
     mode = find_mode("sensor_drop")
-    cell = Mutant(0, 0, "share", 0.5)
-    made = derive_mutant(controls, False, Job(mode, tmp_path, cell))
-    again = derive_mutant(controls, False, Job(mode, tmp_path, cell))
+    job = Job(mode, tmp_path, 0, 0, {"share": 0.5})
+    made = derive_mutant(controls, False, job)
+    again = derive_mutant(controls, False, job)
     assert again == made  # wall time included
-    other = Mutant(0, 0, "share", 0.6)
+    other = Job(mode, tmp_path, 0, 0, {"share": 0.6})
     with pytest.raises(RunDirectoryError, match="holds another mutant"):
-        derive_mutant(controls, False, Job(mode, tmp_path, other))
-    remade = derive_mutant(controls, True, Job(mode, tmp_path, other))
+        derive_mutant(controls, False, other)
+    remade = derive_mutant(controls, True, other)
     assert remade.attack == {"share": 0.6}
     assert remade.attack_seed == made.attack_seed
 

@@ -8,6 +8,7 @@ from sim.middleware.action import ActionClient, ActionServer, Status
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.middleware.node import Node
+from tests.sim.introspection import clients_of, publishers_of, services_of, subscriptions_of
 
 String = message_class("std_msgs/msg/String")
 STRING = "std_msgs/msg/String"
@@ -115,18 +116,18 @@ def test_introspection_answers_what_node_list_and_node_info_answer(domain):
     Node(domain, "/listener", endpoints="CE").create_subscription(STRING, "/chatter", None)
     node.create_publisher(STRING, "/chatter")
     assert domain.node_names() == ["/listener", "/talker"]
-    assert domain.publishers_of("/talker") == {
+    assert publishers_of(domain, "/talker") == {
         "/rosout": "rcl_interfaces/msg/Log",
         "/parameter_events": "rcl_interfaces/msg/ParameterEvent",
         "/chatter": STRING,
     }
-    assert domain.subscriptions_of("/talker") == {}
-    assert domain.subscriptions_of("/listener") == {
+    assert subscriptions_of(domain, "/talker") == {}
+    assert subscriptions_of(domain, "/listener") == {
         "/parameter_events": "rcl_interfaces/msg/ParameterEvent",
         "/clock": "rosgraph_msgs/msg/Clock",
         "/chatter": STRING,
     }
-    assert "/talker/get_parameters" in domain.services_of("/talker")
+    assert "/talker/get_parameters" in services_of(domain, "/talker")
 
 
 def test_one_topic_has_one_type(domain):
@@ -159,8 +160,8 @@ def test_a_service_answers_its_caller(domain):
     client.call(21, answers.append)
     domain.executor.run_until(0)
     assert answers == [42]
-    assert domain.services_of("/server")["/double"] == "std_srvs/srv/Trigger"
-    assert domain.clients_of("/client") == {"/double": "std_srvs/srv/Trigger"}
+    assert services_of(domain, "/server")["/double"] == "std_srvs/srv/Trigger"
+    assert clients_of(domain, "/client") == {"/double": "std_srvs/srv/Trigger"}
 
 
 def test_a_call_to_a_service_without_a_server_is_an_error(domain):
