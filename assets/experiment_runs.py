@@ -39,8 +39,8 @@ from sim.testbeds import TESTBEDS
 if TYPE_CHECKING:
     from assets.worker.reproduction import Reproduction
     from assets.worker.run import RunJob, RunReport
-    from sim.experiments import Comparison
-    from sim.fan_out import Outcome
+    from sim.experiments import RebuildResult
+    from sim.fan_out import JobOutcome
 
 _RUN_CODE = run_code(testbed.made_by for testbed in TESTBEDS.values())
 
@@ -106,7 +106,7 @@ RUN_FEATURES = dg.AssetSpec(
 Columns are named `<family>.<feature>`, units in the schema. Features never see label, mode,
 onset, recipe or ground truth.""",
 )
-_DESCRIPTIONS: Mapping["Comparison", str] = {
+_DESCRIPTIONS: Mapping["RebuildResult", str] = {
     "same messages": "Re-simulated: the messages are the same.",
     "other software": "Replaced: the code, a library or the CPU has changed.",
     "other recipe": "Replaced: the recipe has changed.",
@@ -200,7 +200,7 @@ def recorded_runs(
 
 def _outcomes(
     jobs: Sequence["RunJob"], store: RunStore, fleet: Fleet, budget: StorageBudget
-) -> Iterator["Outcome[RunJob, RunReport]"]:
+) -> Iterator["JobOutcome[RunJob, RunReport]"]:
     """Process the jobs block by block; the storage plan is updated as sizes become known.
 
     Finished runs that must free storage for others are processed first.

@@ -10,7 +10,7 @@ import dagster as dg
 from pydantic import Field, PrivateAttr
 
 from resources.failures import clear_failures
-from sim.fan_out import Outcome, fan_out, process_pool
+from sim.fan_out import JobOutcome, fan_out, process_pool
 from sim.worker_pool import LentPool, WorkerPool
 
 J = TypeVar("J")
@@ -51,7 +51,7 @@ class Fleet(dg.ConfigurableResource[None]):
 
     def outcomes(
         self, function: Callable[[J], R], jobs: Sequence[J], done: str = "jobs done"
-    ) -> Iterator[Outcome[J, R]]:
+    ) -> Iterator[JobOutcome[J, R]]:
         """Yield the outcome of each job when it finishes; a failure does not affect other jobs.
 
         Progress and failures are logged to the Dagster run.
@@ -83,7 +83,7 @@ class Fleet(dg.ConfigurableResource[None]):
                     log.info(_progress(over, len(jobs), done, failed, now - started))
                 yield outcome
 
-    def _fan_out(self, function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[Outcome[J, R]]:
+    def _fan_out(self, function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[JobOutcome[J, R]]:
         if not self.address:
             return fan_out(function, jobs, self._workers)
         from resources.cluster import DaskExecutor

@@ -21,7 +21,7 @@ from sim.testbeds import TESTBEDS, which_testbed
 if TYPE_CHECKING:
     from sim.testbed_run import TestbedRun
 
-Comparison = Literal["same messages", "other software", "other recipe", "unexplained"]
+RebuildResult = Literal["same messages", "other software", "other recipe", "unexplained"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +171,7 @@ def can_be_rebuilt(manifest: Manifest) -> bool:
     return manifest.software == software(_made(manifest.recipe).made_by)
 
 
-def compared(former: Manifest, again: Manifest) -> Comparison:
+def compared(former: Manifest, again: Manifest) -> RebuildResult:
     """Return whether a rebuilt run equals the former one, and if not, why."""
     if again.content_hash == former.content_hash:
         return "same messages"

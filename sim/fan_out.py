@@ -21,7 +21,7 @@ _ROUNDS_TOGETHER = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome(Generic[J, R]):
+class JobOutcome(Generic[J, R]):
     """The outcome of one job: a result, or the text of the error that ended it."""
 
     job: J
@@ -38,7 +38,7 @@ def fan_out(
     function: Callable[[J], R],
     jobs: Sequence[J],
     make_executor: Callable[[], Executor],
-) -> Iterator[Outcome[J, R]]:
+) -> Iterator[JobOutcome[J, R]]:
     """Yield the outcome of every job, as they finish.
 
     Parameters
@@ -56,14 +56,14 @@ def fan_out(
             unfinished = yield from _together(function, unfinished, make_executor)
     for job in unfinished:
         for killer in (yield from _together(function, [job], make_executor)):
-            yield Outcome(killer, error="its worker process died; is there enough memory?")
+            yield JobOutcome(killer, error="its worker process died; is there enough memory?")
 
 
 def _together(
     function: Callable[[J], R],
     jobs: Sequence[J],
     make_executor: Callable[[], Executor],
-) -> Generator[Outcome[J, R], None, list[J]]:
+) -> Generator[JobOutcome[J, R], None, list[J]]:
     """Yield the outcomes of jobs in one executor; return those whose worker died."""
     unfinished: list[int] = []
     futures: dict[Future[R], int] = {}
@@ -86,13 +86,13 @@ def _together(
     return [jobs[index] for index in sorted(unfinished)]
 
 
-def _outcome(job: J, future: Future[R]) -> Outcome[J, R] | None:
+def _outcome(job: J, future: Future[R]) -> JobOutcome[J, R] | None:
     """Return a finished job's outcome, or None if its worker died."""
     error = future.exception()
     if error is None:
-        return Outcome(job, result=future.result())
+        return JobOutcome(job, result=future.result())
     if isinstance(error, BrokenExecutor):
         return None
     if isinstance(error, OracleError):  # its text is enough, without a traceback
-        return Outcome(job, error=str(error))
-    return Outcome(job, error="".join(traceback.format_exception(error)))
+        return JobOutcome(job, error=str(error))
+    return JobOutcome(job, error="".join(traceback.format_exception(error)))

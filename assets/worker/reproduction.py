@@ -17,14 +17,14 @@ from oracle_pipeline.bags.reader import BagReader, RawMessage, content_hash
 from oracle_pipeline.bags.remote import fetched, is_local
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
-from sim.experiments import Comparison, compared
+from sim.experiments import RebuildResult, compared
 
 
 @dataclass(frozen=True, slots=True)
 class Reproduction:
     """The result of re-simulating a complete run."""
 
-    comparison: Comparison
+    comparison: RebuildResult
     former_hash: str  # of the messages
     new_hash: str
     first_difference: str = ""  # where it is unexplained

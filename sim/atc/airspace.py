@@ -57,7 +57,7 @@ class Flight:
     route: tuple[Waypoint, ...]
 
 
-class State(NamedTuple):
+class AircraftState(NamedTuple):
     """Position and velocity over ground of an aircraft, in the airport's plane [m, m/s]."""
 
     x: float
@@ -109,13 +109,13 @@ class AirSpace:
                 *self._wind,
             )
 
-    def state(self, flight: int) -> State | None:
+    def state(self, flight: int) -> AircraftState | None:
         """Return the state of the n-th flight now; None while it is not in the air."""
         if not 0 < self._leg[flight] <= self._last[flight]:
             return None
         x, y, z, vx, vy, vz = self._states[flight, :_AIRSPEED].tolist()
         ahead_s = (self._now_ns - self._stepped_ns) / SECOND
-        return State(x + ahead_s * vx, y + ahead_s * vy, z + ahead_s * vz, vx, vy, vz)
+        return AircraftState(x + ahead_s * vx, y + ahead_s * vy, z + ahead_s * vz, vx, vy, vz)
 
     def in_the_air(self) -> tuple[Ints, Floats]:
         """Return the flights that are in the air now, and their states.
@@ -124,7 +124,7 @@ class AirSpace:
         -------
         flights : ndarray of shape (n,)
         states : ndarray of shape (n, 6)
-            Columns as in `State`.
+            Columns as in `AircraftState`.
         """
         ahead_s = (self._now_ns - self._stepped_ns) / SECOND
         return _in_the_air(self._states, self._leg, self._last, ahead_s)

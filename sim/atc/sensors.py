@@ -17,7 +17,7 @@ import numpy as np
 
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
-from sim.atc.airspace import Floats, Ints, State
+from sim.atc.airspace import AircraftState, Floats, Ints
 from sim.atc.geodesy import convergence, slant_range, to_geodetic
 from sim.jit import jit
 from sim.middleware import qos
@@ -103,7 +103,7 @@ class AdsbReceiver(Node):
         self,
         domain: Domain,
         transponders: Sequence[Transponder],
-        measure: Callable[[int], State | None],
+        measure: Callable[[int], AircraftState | None],
         rng: np.random.Generator,
     ) -> None:
         super().__init__(domain, "/adsb_receiver", rng=rng)
@@ -130,7 +130,7 @@ class AdsbReceiver(Node):
         if state is not None and reception < _RECEPTION:
             self._publish(index, state)
 
-    def _publish(self, index: int, state: State) -> None:
+    def _publish(self, index: int, state: AircraftState) -> None:
         noise_x, noise_y, noise_vx, noise_vy = self.rng.standard_normal(4).tolist()
         east, north = self._errors[index]
         kept = math.exp((self._last_ns[index] - self.now_ns) / SECOND / _GNSS_CORRELATION_S)
@@ -185,7 +185,7 @@ class _Radar(Node):
         As for `Node`.
     measure
         Returns the numbers of the flights in the air now, and their exact states, columns as in
-        `State`.
+        `AircraftState`.
     errors
         Its random errors.
     """
@@ -220,12 +220,12 @@ class _Radar(Node):
         plots = []
         for row, azimuth_deg in _passed(states, start_deg):
             time_ns = self.beam_time_ns(azimuth_deg, start_deg)
-            plot = self._look(int(flights[row]), State(*states[row].tolist()), time_ns)
+            plot = self._look(int(flights[row]), AircraftState(*states[row].tolist()), time_ns)
             if plot is not None:
                 plots.append(plot)
         self.on_sector(start_deg, plots)
 
-    def _look(self, flight: int, state: State, time_ns: int) -> Plot | None:
+    def _look(self, flight: int, state: AircraftState, time_ns: int) -> Plot | None:
         """Detect an aircraft, now in ``state``, where the beam passed it; None if it is missed."""
         errors = self._errors
         ago_s = (self.now_ns - time_ns) / SECOND

@@ -21,7 +21,7 @@ from sim.commands.batch import (
     workers_option,
 )
 from sim.commands.kill_matrix import (
-    Grid,
+    MutantGrid,
     derive_mutant,
     mutants,
     write_index,
@@ -129,9 +129,9 @@ def _attacks(controls: Path | None, *, allow_actuation: bool) -> list[str]:
     ]
 
 
-def _grid(mode: Mode, texts: Sequence[str], blocks: int, root: Path) -> Grid:
+def _grid(mode: Mode, texts: Sequence[str], blocks: int, root: Path) -> MutantGrid:
     sweeps = [sweep(mode, text) for text in texts] or sweeps_of(mode)
-    return Grid(mode, root, tuple(mutants(sweeps, blocks)))
+    return MutantGrid(mode, root, tuple(mutants(sweeps, blocks)))
 
 
 def _root(out: Path | None, mode: Mode, is_one_of_many: bool) -> Path:

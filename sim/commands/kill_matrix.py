@@ -58,7 +58,7 @@ def mutants(sweeps: Sequence[Sweep], blocks: int) -> list[Mutant]:
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class MutantGrid:
     """The mutants of one scenario, and their folder."""
 
     mode: Mode
@@ -126,7 +126,7 @@ def derive_mutant(controls: Path, refresh: bool, job: Job) -> Manifest:
     return manifest
 
 
-def write_index(grid: Grid) -> Path:
+def write_index(grid: MutantGrid) -> Path:
     """Write the index of the mutants that exist.
 
     Returns

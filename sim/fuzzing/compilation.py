@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.fuzzing.compile_context import Budget, CompileContext, Numbers
+from sim.fuzzing.compile_context import CompileContext, OperationBudget, OperationNumbers
 from sim.fuzzing.faults import Faults
 from sim.fuzzing.fields import as_sent
 from sim.fuzzing.grammar import ExpressionError
@@ -55,7 +55,7 @@ _SCALARS: Mapping[str, Type] = {"float": FLOAT, "int": INTEGER, "bool": BOOLEAN}
 
 
 def compile_scenario(
-    scenario: Scenario, *, allow_actuation: bool = False, budget: Budget | None = None
+    scenario: Scenario, *, allow_actuation: bool = False, budget: OperationBudget | None = None
 ) -> Program:
     """Check a scenario against the types of its messages, and compile it.
 
@@ -101,8 +101,8 @@ def compile_scenario(
         {"": (main["output"], kind), **outputs},
         Record("state", state_types),
         limits.get("array", LONGEST),
-        Numbers(ACTIVATION + 1),
-        budget or Budget(),
+        OperationNumbers(ACTIVATION + 1),
+        budget or OperationBudget(),
         faults,
     )
     sources = _sources(scenario, context)
@@ -361,7 +361,7 @@ def compile_file(path: Path, *, allow_actuation: bool = False) -> Iterator[Progr
     ScenarioError
         Naming the file, for any fault.
     """
-    budget = Budget()
+    budget = OperationBudget()
     try:
         for scenario in load_scenarios(path):
             yield compile_scenario(scenario, allow_actuation=allow_actuation, budget=budget)

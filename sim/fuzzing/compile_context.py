@@ -26,13 +26,13 @@ MAX_OPERATIONS = 30_000  # of all expressions in a file, functions counted at ea
 
 
 @dataclass(slots=True)
-class Budget:
+class OperationBudget:
     """The number of operations that may still be compiled for a file, which bounds the time."""
 
     left: int = MAX_OPERATIONS
 
 
-class Numbers(Iterator[int]):
+class OperationNumbers(Iterator[int]):
     """Consecutive numbers of operations, from a given first one."""
 
     def __init__(self, upcoming: int) -> None:
@@ -80,8 +80,8 @@ class CompileContext:
     outputs: Mapping[str, tuple[str, Message]]
     state: Record
     longest: int
-    numbers: Numbers
-    budget: Budget
+    numbers: OperationNumbers
+    budget: OperationBudget
     faults: Faults
 
     def term(

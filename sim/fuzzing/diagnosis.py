@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from sim.fuzzing.compilation import compile_scenario
-from sim.fuzzing.compile_context import Budget
+from sim.fuzzing.compile_context import OperationBudget
 from sim.fuzzing.program import Program
 from sim.fuzzing.scenario import (
     MAX_FAULTS,
     Key,
-    Place,
+    Location,
     Scenario,
     ScenarioError,
     as_text,
@@ -34,7 +34,7 @@ MAX_SLIPS = 20  # lines that are tried
 _PREFIXES = {"parameters": "p", "constants": "c", "state": "state", "sources": "src"}
 _ABSENT = "expected the key "  # prefix of faults that report a missing key
 _EMPTY = "found null"  # suffix of such faults
-_Document = tuple[Any, dict[Key, Place]]
+_Document = tuple[Any, dict[Key, Location]]
 
 
 def diagnose(path: Path, *, allow_actuation: bool = False) -> Iterator[Program | ScenarioError]:
@@ -62,7 +62,7 @@ def diagnose(path: Path, *, allow_actuation: bool = False) -> Iterator[Program |
         return
     if not found:
         yield ScenarioError(f"{file}:1:1: expected a scenario, found an empty file.")
-    budget, known = Budget(), set[str]()
+    budget, known = OperationBudget(), set[str]()
     for document, places in found:
         faults = _faults(document, places, file, allow_actuation=allow_actuation)
         if not faults:
@@ -98,7 +98,7 @@ def _read(text: str, file: str) -> tuple[list[ScenarioError], list[_Document]]:
             break
         worst = max(suspects, key=lambda n: _read_up_to(lines, n, file))
         if worst in slips:
-            fault = ScenarioError(f"{file}:{Place(worst + 1)}: expected YAML, {slips[worst]}.")
+            fault = ScenarioError(f"{file}:{Location(worst + 1)}: expected YAML, {slips[worst]}.")
         faults.append(fault)
         lines[worst] = ""
     return faults or [fault], []
@@ -126,7 +126,7 @@ def _slip(line: str) -> str:
 
 def _faults(
     document: Any,
-    places: Mapping[Key, Place],
+    places: Mapping[Key, Location],
     file: str,
     *,
     allow_actuation: bool,
@@ -166,10 +166,10 @@ def _faults(
     return sorted(errors, key=_place)
 
 
-def _place(error: ScenarioError) -> Place:
+def _place(error: ScenarioError) -> Location:
     """Return the place that a fault names."""
     place = re.search(r":(\d+):(\d+): ", str(error))
-    return Place(int(place[1]), int(place[2])) if place else Place()
+    return Location(int(place[1]), int(place[2])) if place else Location()
 
 
 class _Taken:

@@ -30,7 +30,7 @@ from sim.middleware.geometry import quaternion_yaw, wrap_angle
 
 EARTH_RADIUS_M = 6_371_008.8  # mean radius of the WGS 84 ellipsoid
 
-Floats = Any  # a float64 or an array of them; the result is of the same kind
+Reals = Any  # a float64 or an array of them; the result is of the same kind
 Types = Sequence[Type]
 
 
@@ -69,8 +69,8 @@ def promoted(types: Types) -> Number:
 
 
 def haversine_m(
-    latitude: Floats, longitude: Floats, to_latitude: Floats, to_longitude: Floats
-) -> Floats:
+    latitude: Reals, longitude: Reals, to_latitude: Reals, to_longitude: Reals
+) -> Reals:
     """Return the great-circle distance [m] between positions [deg]."""
     north, east = np.radians(latitude), np.radians(longitude)
     to_north, to_east = np.radians(to_latitude), np.radians(to_longitude)
@@ -82,8 +82,8 @@ def haversine_m(
 
 
 def bearing_deg(
-    latitude: Floats, longitude: Floats, to_latitude: Floats, to_longitude: Floats
-) -> Floats:
+    latitude: Reals, longitude: Reals, to_latitude: Reals, to_longitude: Reals
+) -> Reals:
     """Return the first course of the great circle, clockwise from true north in [0, 360) [deg]."""
     north, to_north = np.radians(latitude), np.radians(to_latitude)
     turn = np.radians(np.subtract(to_longitude, longitude))
@@ -93,7 +93,7 @@ def bearing_deg(
     return np.remainder(np.remainder(np.degrees(np.arctan2(eastward, northward)), 360.0), 360.0)
 
 
-def offset_lat(latitude: Floats, bearing: Floats, distance: Floats) -> Floats:
+def offset_lat(latitude: Reals, bearing: Reals, distance: Reals) -> Reals:
     """Return the latitude [deg] after ``distance`` [m] on a great circle that starts on a course.
 
     Parameters
@@ -109,7 +109,7 @@ def offset_lat(latitude: Floats, bearing: Floats, distance: Floats) -> Floats:
     return np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))
 
 
-def offset_lon(latitude: Floats, longitude: Floats, bearing: Floats, distance: Floats) -> Floats:
+def offset_lon(latitude: Reals, longitude: Reals, bearing: Reals, distance: Reals) -> Reals:
     """Return the longitude, in [-180, 180) [deg], that belongs to ``offset_lat``."""
     north, course = np.radians(latitude), np.radians(bearing)
     angle = np.divide(distance, EARTH_RADIUS_M)
@@ -119,7 +119,7 @@ def offset_lon(latitude: Floats, longitude: Floats, bearing: Floats, distance: F
     return np.remainder(turned + 180.0, 360.0) - 180.0
 
 
-def ray_circle(bearing: Floats, x: Floats, y: Floats, radius: Floats) -> Floats:
+def ray_circle(bearing: Reals, x: Reals, y: Reals, radius: Reals) -> Reals:
     """Return the distance from the origin along a ray to a circle around (x, y).
 
     Returns
@@ -141,7 +141,7 @@ def _first_crossing(along: float, across: float, radius: float) -> float:
     return distance if distance > 0.0 else math.inf  # behind the start, or around it
 
 
-def ray_segment(bearing: Floats, x1: Floats, y1: Floats, x2: Floats, y2: Floats) -> Floats:
+def ray_segment(bearing: Reals, x1: Reals, y1: Reals, x2: Reals, y2: Reals) -> Reals:
     """Return the distance from the origin along a ray to a wall.
 
     Returns
@@ -158,7 +158,7 @@ def ray_segment(bearing: Floats, x1: Floats, y1: Floats, x2: Floats, y2: Floats)
     return np.where(meets, distance, np.inf)
 
 
-def in_polygon(x: Floats, y: Floats, corners: Floats) -> Any:
+def in_polygon(x: Reals, y: Reals, corners: Reals) -> Any:
     """Return whether (x, y) is inside a polygon, by the even-odd rule.
 
     Parameters
@@ -259,15 +259,15 @@ def _length(value: Any) -> np.int64:
     return np.int64(len(strip_padding(value) if isinstance(value, str) else value))
 
 
-def _draw_uniform(rng: np.random.Generator, n: int | None, low: Floats, high: Floats) -> Floats:
+def _draw_uniform(rng: np.random.Generator, n: int | None, low: Reals, high: Reals) -> Reals:
     return low + (high - low) * rng.random(n)
 
 
-def _draw_normal(rng: np.random.Generator, n: int | None, mean: Floats, sigma: Floats) -> Floats:
+def _draw_normal(rng: np.random.Generator, n: int | None, mean: Reals, sigma: Reals) -> Reals:
     return mean + sigma * rng.standard_normal(n)
 
 
-def _draw_bernoulli(rng: np.random.Generator, n: int | None, share: Floats) -> Any:
+def _draw_bernoulli(rng: np.random.Generator, n: int | None, share: Reals) -> Any:
     return rng.random(n) < share
 
 

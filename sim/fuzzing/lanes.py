@@ -8,7 +8,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sim.fuzzing.compile_context import CompileContext, Numbers
+from sim.fuzzing.compile_context import CompileContext, OperationNumbers
 from sim.fuzzing.fields import as_sent
 from sim.fuzzing.operators import compile_operators
 from sim.fuzzing.output_operators import Playback
@@ -46,7 +46,9 @@ def compile_actions(
         numbered = context
         if topic != MAIN:
             alone = (place + 1) * _OF_AN_ACTION  # if it does nothing on the main topic
-            numbered = dataclasses.replace(context, numbers=Numbers(numbers.get(place, alone)))
+            numbered = dataclasses.replace(
+                context, numbers=OperationNumbers(numbers.get(place, alone))
+            )
         first[place] = numbered.numbers.upcoming
         with context.faults.gathered():
             actions.append(_action(spec, ("transform", "actions", place), numbered))

@@ -12,11 +12,11 @@ from typing import Any
 
 from oracle_pipeline.bags.manifest import Change
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE
-from sim.fuzzing.conditions import Conditions
 from sim.fuzzing.execution import Execution, Result
 from sim.fuzzing.ground_truth import GroundTruth, in_bins
 from sim.fuzzing.program import Program
 from sim.fuzzing.scenario import Key
+from sim.fuzzing.system_changes import SystemChanges
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.endpoints import Publisher, Sample, Subscription
@@ -74,7 +74,7 @@ class ScenarioNode:
             if topic not in self._outputs:
                 self._outputs[topic] = self._publisher(topic, kind.name)
         self._publish_truth = self._publisher(GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE)
-        self._conditions = Conditions(domain, execution)
+        self._conditions = SystemChanges(domain, execution)
         for source, spec in program.sources.items():
             self._subscribe(spec.topic, spec.type.name, functools.partial(self._on_source, source))
         for number, lane in enumerate(program.lanes):
@@ -135,7 +135,7 @@ class ScenarioNode:
             )
         if self._timer is not None:
             self._timer.cancel()
-        conditions = Conditions(self._domain, execution)
+        conditions = SystemChanges(self._domain, execution)
         self._conditions.undo()
         self._execution, self._conditions = execution, conditions
         self.begin(self._executor.now_ns)
@@ -200,7 +200,7 @@ class ScenarioNode:
     def _on_timer(self) -> None:
         self._publish(self._execution.on_timer(self._received_ns, self._t_s))
 
-    def _on_onset(self, conditions: Conditions) -> None:
+    def _on_onset(self, conditions: SystemChanges) -> None:
         if conditions is self._conditions:  # else the node was switched to another scenario
             for truth in conditions.apply():
                 self._report(truth)

@@ -49,7 +49,7 @@ class Summary:
     notes: tuple[str, ...] = ()  # what was not read of the bag, and other remarks on it
 
 
-Track = Callable[[Iterable[RawMessage], int], Iterable[RawMessage]]
+Progress = Callable[[Iterable[RawMessage], int], Iterable[RawMessage]]
 
 
 def _untracked(messages: Iterable[RawMessage], total: int) -> Iterable[RawMessage]:  # noqa: ARG001
@@ -63,7 +63,7 @@ def mutate_bag(
     run_seed: int,
     at_s: float | None = None,
     parameters: Mapping[str, Any] | None = None,
-    track: Track = _untracked,
+    track: Progress = _untracked,
     goals_s: Sequence[float] | None = None,
 ) -> Summary:
     """Run a program over a bag.

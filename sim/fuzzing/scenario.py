@@ -39,7 +39,7 @@ _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _WORDS = {"": None, "~": None, "null": None, "true": True, "false": False}
 
 
-class Place(NamedTuple):
+class Location(NamedTuple):
     """Line and column in a file, counted from 1."""
 
     line: int = 1
@@ -49,12 +49,14 @@ class Place(NamedTuple):
         return f"{self.line}:{self.column}"
 
     @classmethod
-    def of(cls, mark: Any) -> "Place":
+    def of(cls, mark: Any) -> "Location":
         """Return the place of YAML's mark."""
         return cls() if mark is None else cls(int(mark.line) + 1, int(mark.column) + 1)
 
 
-NO_FILE: Mapping[Key, Place] = MappingProxyType({(): Place()})  # of a document that is in none
+NO_FILE: Mapping[Key, Location] = MappingProxyType(
+    {(): Location()}
+)  # of a document that is in none
 
 
 class ScenarioError(OracleError):
@@ -99,7 +101,7 @@ class Scenario:
 
     file: str
     document: Mapping[str, Any]
-    places: Mapping[Key, Place]
+    places: Mapping[Key, Location]
 
     @property
     def id(self) -> str:
@@ -264,7 +266,7 @@ def together(faults: Sequence[ScenarioError]) -> ScenarioError:
     return ScenarioError("\n".join(map(str, shown)), [each for e in shown for each in e.found])
 
 
-def _error(file: str, places: Mapping[Key, Place], key: Key, text: str) -> ScenarioError:
+def _error(file: str, places: Mapping[Key, Location], key: Key, text: str) -> ScenarioError:
     place = next(places[key[:n]] for n in range(len(key), -1, -1) if key[:n] in places)
     return ScenarioError(f"{file}:{place}: {_dotted(key)}: {text}.", [(key, text)])
 
@@ -278,7 +280,7 @@ def _dotted(key: Key) -> str:
 # YAML: events to plain data, without recursion, under bounds.
 
 
-def documents(text: str, file: str) -> Iterator[tuple[Any, dict[Key, Place]]]:
+def documents(text: str, file: str) -> Iterator[tuple[Any, dict[Key, Location]]]:
     """Yield each document with the places of its keys."""
     builder = _Builder(file)
     try:
@@ -291,7 +293,7 @@ def documents(text: str, file: str) -> Iterator[tuple[Any, dict[Key, Place]]]:
             elif isinstance(event, yaml.CollectionEndEvent):
                 builder.end()
     except yaml.MarkedYAMLError as error:
-        place = Place.of(error.problem_mark)
+        place = Location.of(error.problem_mark)
         raise ScenarioError(f"{file}:{place}: expected YAML, {error.problem}.") from error
     except yaml.YAMLError as error:
         raise ScenarioError(f"{file}:1:1: expected YAML, found {error}.") from error
@@ -302,14 +304,14 @@ class _Builder:
 
     def __init__(self, file: str) -> None:
         self.root: Any = None
-        self.places: dict[Key, Place] = {}
+        self.places: dict[Key, Location] = {}
         self._file = file
         self._open: list[tuple[Key, dict[str, Any] | list[Any]]] = []
         self._name: str | None = None  # of the value that comes next in a mapping
 
     def add(self, event: yaml.NodeEvent) -> None:
         """Take the beginning of a node."""
-        place = Place.of(event.start_mark)
+        place = Location.of(event.start_mark)
         self._refuse_references(event, place)
         if self._open and isinstance(self._open[-1][1], dict) and self._name is None:
             self._begin_entry(event, place)
@@ -330,7 +332,7 @@ class _Builder:
         """Take the end of a mapping or a list."""
         self._open.pop()
 
-    def _refuse_references(self, event: yaml.NodeEvent, place: Place) -> None:
+    def _refuse_references(self, event: yaml.NodeEvent, place: Location) -> None:
         what = ""
         if isinstance(event, yaml.AliasEvent):
             what = f"the alias *{event.anchor}"
@@ -341,7 +343,7 @@ class _Builder:
         if what:
             raise ScenarioError(f"{self._file}:{place}: expected plain YAML, found {what[:80]}.")
 
-    def _begin_entry(self, event: yaml.NodeEvent, place: Place) -> None:
+    def _begin_entry(self, event: yaml.NodeEvent, place: Location) -> None:
         key, mapping = self._open[-1]
         if not isinstance(event, yaml.ScalarEvent) or len(event.value) > MAX_SCALAR:
             raise self._error(key, "expected names for keys")
@@ -392,7 +394,9 @@ class _Builder:
 # JSON Schema: its faults as text.
 
 
-def structure_faults(document: Any, places: Mapping[Key, Place], file: str) -> list[ScenarioError]:
+def structure_faults(
+    document: Any, places: Mapping[Key, Location], file: str
+) -> list[ScenarioError]:
     """Return the faults in the structure of a document."""
     found = sorted(
         json_schema.faults(document, schema()),

@@ -23,7 +23,7 @@ _GoalStatus = message_class("action_msgs/msg/GoalStatus")
 _GoalStatusArray = message_class("action_msgs/msg/GoalStatusArray")
 
 
-class Status(enum.IntEnum):
+class GoalStatus(enum.IntEnum):
     """Goal states of ``action_msgs/msg/GoalStatus``."""
 
     ACCEPTED = 1
@@ -36,7 +36,7 @@ class Status(enum.IntEnum):
     @property
     def is_terminal(self) -> bool:
         """Return whether the goal has ended."""
-        return self >= Status.SUCCEEDED
+        return self >= GoalStatus.SUCCEEDED
 
 
 class GoalHandle:
@@ -48,7 +48,7 @@ class GoalHandle:
         self.goal = goal
         self.goal_id = goal_id
         self.accepted_ns = server.node.now_ns
-        self.status = Status.ACCEPTED
+        self.status = GoalStatus.ACCEPTED
         self._server = server
         self._client = client
 
@@ -64,33 +64,33 @@ class GoalHandle:
 
     def execute(self) -> None:
         """Start work on an accepted goal."""
-        self._set(Status.EXECUTING)
+        self._set(GoalStatus.EXECUTING)
 
     def succeed(self, result: Any = None) -> None:
         """End with success."""
-        self._end(Status.SUCCEEDED, result)
+        self._end(GoalStatus.SUCCEEDED, result)
 
     def abort(self, result: Any = None) -> None:
         """End with failure: the goal cannot be reached."""
-        self._end(Status.ABORTED, result)
+        self._end(GoalStatus.ABORTED, result)
 
     def canceled(self, result: Any = None) -> None:
         """End because a client requested it."""
-        self._end(Status.CANCELED, result)
+        self._end(GoalStatus.CANCELED, result)
 
     def cancel(self) -> None:
         """Request the server to stop; the client's side of the handle."""
-        if self.status is Status.ACCEPTED:  # not started, so there is nothing to stop
+        if self.status is GoalStatus.ACCEPTED:  # not started, so there is nothing to stop
             self.canceled()
-        elif self.status is Status.EXECUTING:
-            self._set(Status.CANCELING)
+        elif self.status is GoalStatus.EXECUTING:
+            self._set(GoalStatus.CANCELING)
             self._server.node.call_later(0, self._server.on_cancel, self)
 
-    def _end(self, status: Status, result: Any) -> None:
+    def _end(self, status: GoalStatus, result: Any) -> None:
         self._set(status)
         self._server.node.call_later(0, self._client.result, status, result)
 
-    def _set(self, status: Status) -> None:
+    def _set(self, status: GoalStatus) -> None:
         if self.status.is_terminal:
             raise RuntimeError(f"goal of {self._server.name} is {self.status.name} already")
         self.status = status
@@ -101,7 +101,7 @@ class _Callbacks:
     """Callbacks of a client about one goal."""
 
     def __init__(
-        self, feedback: Callable[[Any], None], result: Callable[[Status, Any], None]
+        self, feedback: Callable[[Any], None], result: Callable[[GoalStatus, Any], None]
     ) -> None:
         self.feedback = feedback
         self.result = result
@@ -181,7 +181,7 @@ class ActionServer:
         )
 
     def _start(self, handle: GoalHandle) -> None:
-        if handle.status is Status.ACCEPTED:
+        if handle.status is GoalStatus.ACCEPTED:
             handle.execute()
             self._on_goal(handle)
 
@@ -207,7 +207,7 @@ class ActionClient:
     def send_goal(
         self,
         goal: Any,
-        on_result: Callable[[Status, Any], None],
+        on_result: Callable[[GoalStatus, Any], None],
         on_feedback: Callable[[Any], None] = lambda _: None,
     ) -> GoalHandle:
         """Send a goal and return its handle, accepted.

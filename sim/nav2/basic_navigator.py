@@ -11,7 +11,7 @@ import numpy as np
 
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
-from sim.middleware.action import ActionClient, GoalHandle, Status
+from sim.middleware.action import ActionClient, GoalHandle, GoalStatus
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND, Timer
 from sim.middleware.geometry import Pose2D
@@ -23,7 +23,7 @@ _NavigateToPose = message_class("nav2_msgs/action/NavigateToPose_Goal")
 _PoseWithCovariance = message_class("geometry_msgs/msg/PoseWithCovariance")
 _PoseWithCovarianceStamped = message_class("geometry_msgs/msg/PoseWithCovarianceStamped")
 
-Outcome = Literal["succeeded", "aborted", "canceled"]
+GoalOutcome = Literal["succeeded", "aborted", "canceled"]
 
 _OTHER_ACTIONS = (
     ("navigate_through_poses", "NavigateThroughPoses"),
@@ -43,21 +43,21 @@ _SERVICES = (
     ("GetCostmap", "/global_costmap/get_costmap"),
     ("GetCostmap", "/local_costmap/get_costmap"),
 )
-_OUTCOMES: dict[Status, Outcome] = {
-    Status.SUCCEEDED: "succeeded",
-    Status.ABORTED: "aborted",
-    Status.CANCELED: "canceled",
+_OUTCOMES: dict[GoalStatus, GoalOutcome] = {
+    GoalStatus.SUCCEEDED: "succeeded",
+    GoalStatus.ABORTED: "aborted",
+    GoalStatus.CANCELED: "canceled",
 }
 
 
 @dataclass(slots=True)
-class GoalResult:
+class GoalProgress:
     """Result of one goal of a patrol."""
 
     goal: Pose2D  # in the map
     accepted_ns: int
     ended_ns: int | None = None  # None while it is active
-    outcome: Outcome | None = None
+    outcome: GoalOutcome | None = None
     number_of_recoveries: int = 0
 
 
@@ -77,7 +77,7 @@ class BasicNavigator(Node):
 
     def __init__(self, domain: Domain, *, latency_ns: int = 0) -> None:
         super().__init__(domain, "/basic_navigator", endpoints="P", latency_ns=latency_ns)
-        self.results: list[GoalResult] = []
+        self.results: list[GoalProgress] = []
         self._localized = False
         self._initial_pose = self.create_publisher(
             "geometry_msgs/msg/PoseWithCovarianceStamped", "/initialpose"
@@ -115,7 +115,7 @@ class BasicNavigator(Node):
         self,
         goals: Sequence[Pose2D],
         on_done: Callable[[], None],
-        on_accepted: Callable[[GoalResult], None] = lambda _: None,
+        on_accepted: Callable[[GoalProgress], None] = lambda _: None,
     ) -> None:
         """Drive to poses in the map, in order; a goal that is not reached ends the patrol.
 
@@ -136,16 +136,16 @@ class BasicNavigator(Node):
         def on_feedback(feedback: Any) -> None:
             result.number_of_recoveries = int(feedback.number_of_recoveries)
 
-        def on_result(status: Status, _result: Any) -> None:
+        def on_result(status: GoalStatus, _result: Any) -> None:
             result.ended_ns = self.now_ns
             result.outcome = _OUTCOMES[status]
-            self.follow(others if status is Status.SUCCEEDED else [], on_done, on_accepted)
+            self.follow(others if status is GoalStatus.SUCCEEDED else [], on_done, on_accepted)
 
         pose = pose_stamped(self.now_ns, "map", goal.x, goal.y, goal.yaw)
         handle: GoalHandle = self._client.send_goal(
             _NavigateToPose(pose, ""), on_result, on_feedback
         )
-        result = GoalResult(goal, handle.accepted_ns)
+        result = GoalProgress(goal, handle.accepted_ns)
         self.results.append(result)
         on_accepted(result)
 

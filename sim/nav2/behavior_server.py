@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
-from sim.middleware.action import ActionServer, GoalHandle, Status
+from sim.middleware.action import ActionServer, GoalHandle, GoalStatus
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND, Timer
 from sim.middleware.geometry import Pose2D, wrap_angle
@@ -38,7 +38,7 @@ ROTATIONAL_ACC_LIM = 3.2  # [rad/s^2]
 _REACHED_RAD = 1e-6
 
 
-class Outcome(enum.Enum):
+class BehaviorStatus(enum.Enum):
     """Status of a behaviour after one cycle."""
 
     RUNNING = enum.auto()
@@ -47,10 +47,10 @@ class Outcome(enum.Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class BehaviorStep:
     """The result of one cycle."""
 
-    outcome: Outcome
+    outcome: BehaviorStatus
     linear: float = 0.0  # velocity to send while running [m/s]
     angular: float = 0.0  # [rad/s]
     feedback: Any = None
@@ -110,7 +110,7 @@ class _Behavior(ABC):
         """Begin at ``pose`` (odometry frame); False if the goal cannot be carried out."""
 
     @abstractmethod
-    def step(self, pose: Pose2D) -> Step:
+    def step(self, pose: Pose2D) -> BehaviorStep:
         """Do one cycle at ``pose`` (odometry frame)."""
 
     def allow(self, time: Any) -> None:
@@ -143,16 +143,16 @@ class _Behavior(ABC):
 
     def _cycle(self, goal: GoalHandle) -> None:
         pose = self.surroundings.pose()
-        if goal.status is Status.CANCELING:
+        if goal.status is GoalStatus.CANCELING:
             self._end(goal.canceled)
             return
-        step = self.step(pose) if pose is not None else Step(Outcome.FAILED)
+        step = self.step(pose) if pose is not None else BehaviorStep(BehaviorStatus.FAILED)
         if step.feedback is not None:
             goal.publish_feedback(step.feedback)
-        if step.outcome is Outcome.RUNNING:
+        if step.outcome is BehaviorStatus.RUNNING:
             self.drive(step.linear, step.angular)
         else:
-            self._end(goal.succeed if step.outcome is Outcome.SUCCEEDED else goal.abort)
+            self._end(goal.succeed if step.outcome is BehaviorStatus.SUCCEEDED else goal.abort)
 
     def drive(self, linear: float, angular: float) -> None:
         """Send a velocity to the wheels."""
@@ -184,23 +184,23 @@ class Spin(_Behavior):
         self.allow(goal.time_allowance)
         return True
 
-    def step(self, pose: Pose2D) -> Step:
+    def step(self, pose: Pose2D) -> BehaviorStep:
         """Turn on, slower towards the end."""
         if self.is_overdue():
-            return Step(Outcome.FAILED)
+            return BehaviorStep(BehaviorStatus.FAILED)
         self._turned += wrap_angle(pose.yaw - self._yaw)
         self._yaw = pose.yaw
         feedback = _SpinFeedback(self._turned)
         remaining = abs(self._target) - abs(self._turned)
         if remaining < _REACHED_RAD:
-            return Step(Outcome.SUCCEEDED, feedback=feedback)
+            return BehaviorStep(BehaviorStatus.SUCCEEDED, feedback=feedback)
         speed = math.sqrt(2.0 * ROTATIONAL_ACC_LIM * remaining)
         speed = min(max(speed, MIN_ROTATIONAL_VEL), MAX_ROTATIONAL_VEL)
         velocity = math.copysign(speed, self._target)
         if not self._is_clear(velocity, pose):
             self.node.warn("Collision Ahead - Exiting Spin")
-            return Step(Outcome.FAILED, feedback=feedback)
-        return Step(Outcome.RUNNING, angular=velocity, feedback=feedback)
+            return BehaviorStep(BehaviorStatus.FAILED, feedback=feedback)
+        return BehaviorStep(BehaviorStatus.RUNNING, angular=velocity, feedback=feedback)
 
     def _is_clear(self, velocity: float, pose: Pose2D) -> bool:
         # Like Nav2, this looks ahead by the angle turned so far, not by the one that remains.
@@ -226,18 +226,18 @@ class BackUp(_Behavior):
         self.allow(goal.time_allowance)
         return goal.target.y == goal.target.z == 0.0 and self._distance * self._speed > 0.0
 
-    def step(self, pose: Pose2D) -> Step:
+    def step(self, pose: Pose2D) -> BehaviorStep:
         """Drive on."""
         if self.is_overdue():
-            return Step(Outcome.FAILED)
+            return BehaviorStep(BehaviorStatus.FAILED)
         driven = pose.distance_to(self._from)
         feedback = _BackUpFeedback(driven)
         if driven >= abs(self._distance):
-            return Step(Outcome.SUCCEEDED, feedback=feedback)
+            return BehaviorStep(BehaviorStatus.SUCCEEDED, feedback=feedback)
         if not self._is_clear(abs(self._distance) - driven, pose):
             self.node.warn(f"Collision Ahead - Exiting {self.action}")
-            return Step(Outcome.FAILED, feedback=feedback)
-        return Step(Outcome.RUNNING, linear=self._speed, feedback=feedback)
+            return BehaviorStep(BehaviorStatus.FAILED, feedback=feedback)
+        return BehaviorStep(BehaviorStatus.RUNNING, linear=self._speed, feedback=feedback)
 
     def _is_clear(self, remaining: float, pose: Pose2D) -> bool:
         for seconds in _look_ahead():
@@ -260,11 +260,13 @@ class Wait(_Behavior):
         self._until_ns = self.node.now_ns + stamp_ns(goal.time)
         return True
 
-    def step(self, pose: Pose2D) -> Step:  # noqa: ARG002 -- independent of the pose
+    def step(self, pose: Pose2D) -> BehaviorStep:  # noqa: ARG002 -- independent of the pose
         """Compare the clock with the end of the wait."""
         left_ns = self._until_ns - self.node.now_ns
         feedback = _WaitFeedback(duration_message(max(0, left_ns)))
-        return Step(Outcome.RUNNING if left_ns > 0 else Outcome.SUCCEEDED, feedback=feedback)
+        return BehaviorStep(
+            BehaviorStatus.RUNNING if left_ns > 0 else BehaviorStatus.SUCCEEDED, feedback=feedback
+        )
 
     def drive(self, linear: float, angular: float) -> None:
         """Send nothing."""

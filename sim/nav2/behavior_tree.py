@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 
 
-class Status(enum.Enum):
+class NodeStatus(enum.Enum):
     """Status of a node after its last tick."""
 
     IDLE = enum.auto()
@@ -35,15 +35,15 @@ class TreeNode(ABC):
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.status = Status.IDLE
-        self.on_change: Callable[[TreeNode, Status, Status], None] = lambda *_: None
+        self.status = NodeStatus.IDLE
+        self.on_change: Callable[[TreeNode, NodeStatus, NodeStatus], None] = lambda *_: None
 
-    def execute(self) -> Status:
+    def execute(self) -> NodeStatus:
         """Tick the node and keep the outcome as its status."""
         self.set_status(self.tick())
         return self.status
 
-    def set_status(self, status: Status) -> None:
+    def set_status(self, status: NodeStatus) -> None:
         """Change the status and call ``on_change``."""
         if status is not self.status:
             previous, self.status = self.status, status
@@ -54,12 +54,12 @@ class TreeNode(ABC):
         yield self
 
     @abstractmethod
-    def tick(self) -> Status:
+    def tick(self) -> NodeStatus:
         """Do the node's work of one tick."""
 
     def halt(self) -> None:
         """Interrupt the node."""
-        self.set_status(Status.IDLE)
+        self.set_status(NodeStatus.IDLE)
 
 
 class _ControlNode(TreeNode):
@@ -82,9 +82,9 @@ class _ControlNode(TreeNode):
 
     def halt_child(self, child: TreeNode) -> None:
         """Interrupt a child if it runs, and make it idle."""
-        if child.status is Status.RUNNING:
+        if child.status is NodeStatus.RUNNING:
             child.halt()
-        child.set_status(Status.IDLE)
+        child.set_status(NodeStatus.IDLE)
 
     def halt_children(self) -> None:
         """Interrupt every child that runs, and make all idle."""
@@ -99,19 +99,19 @@ class SequenceNode(_ControlNode):
         super().__init__(name, children)
         self._current = 0
 
-    def tick(self) -> Status:
+    def tick(self) -> NodeStatus:
         """Continue with the current child."""
-        self.set_status(Status.RUNNING)
+        self.set_status(NodeStatus.RUNNING)
         while self._current < len(self.children):
             status = self.children[self._current].execute()
-            if status is Status.RUNNING:
+            if status is NodeStatus.RUNNING:
                 return status
-            if status is Status.FAILURE:
+            if status is NodeStatus.FAILURE:
                 self._reset()
                 return status
             self._current += 1
         self._reset()
-        return Status.SUCCESS
+        return NodeStatus.SUCCESS
 
     def halt(self) -> None:
         """Interrupt, and start from the first child next time."""
@@ -130,18 +130,18 @@ class PipelineSequence(_ControlNode):
         super().__init__(name, children)
         self._furthest = 0
 
-    def tick(self) -> Status:
+    def tick(self) -> NodeStatus:
         """Tick from the first child to the one that the pipeline has reached."""
         for index, child in enumerate(self.children):
             status = child.execute()
-            if status is Status.FAILURE:
+            if status is NodeStatus.FAILURE:
                 self._reset()
                 return status
-            if status is Status.RUNNING and index >= self._furthest:
+            if status is NodeStatus.RUNNING and index >= self._furthest:
                 self._furthest = index
                 return status
         self._reset()
-        return Status.SUCCESS
+        return NodeStatus.SUCCESS
 
     def halt(self) -> None:
         """Interrupt, and start an empty pipeline next time."""
@@ -170,25 +170,25 @@ class RecoveryNode(_ControlNode):
         self._tries = 0
         self._recovering = False
 
-    def tick(self) -> Status:
+    def tick(self) -> NodeStatus:
         """Tick the child, or the recovery after a failure."""
-        self.set_status(Status.RUNNING)
+        self.set_status(NodeStatus.RUNNING)
         child, recovery = self.children
         while True:
             if not self._recovering:
                 status = child.execute()
-                if status is Status.RUNNING:
+                if status is NodeStatus.RUNNING:
                     return status
-                if status is Status.SUCCESS or self._tries >= self._retries:
+                if status is NodeStatus.SUCCESS or self._tries >= self._retries:
                     self.halt()
                     return status
                 self.halt_child(child)
                 self._recovering = True
             else:
                 status = recovery.execute()
-                if status is Status.RUNNING:
+                if status is NodeStatus.RUNNING:
                     return status
-                if status is Status.FAILURE:
+                if status is NodeStatus.FAILURE:
                     self.halt()
                     return status
                 self.halt_child(recovery)
@@ -205,13 +205,13 @@ class RecoveryNode(_ControlNode):
 class ReactiveFallback(_ControlNode):
     """Ticks its children from the first on in every tick until one does not fail."""
 
-    def tick(self) -> Status:
+    def tick(self) -> NodeStatus:
         """Find a child that succeeds or runs."""
         for child in self.children:
             status = child.execute()
-            if status is Status.RUNNING:
+            if status is NodeStatus.RUNNING:
                 return status
-            if status is Status.SUCCESS:
+            if status is NodeStatus.SUCCESS:
                 break
         self.halt_children()
         return status
@@ -228,21 +228,21 @@ class RoundRobin(_ControlNode):
         self._current = 0
         self._failed = 0
 
-    def tick(self) -> Status:
+    def tick(self) -> NodeStatus:
         """Continue with the current child, and skip those that fail."""
-        self.set_status(Status.RUNNING)
+        self.set_status(NodeStatus.RUNNING)
         while self._failed < len(self.children):
             status = self.children[self._current].execute()
-            if status is Status.RUNNING:
+            if status is NodeStatus.RUNNING:
                 return status
             self._current = (self._current + 1) % len(self.children)
-            if status is Status.SUCCESS:
+            if status is NodeStatus.SUCCESS:
                 self._failed = 0
                 self.halt_children()
                 return status
             self._failed += 1
         self.halt()
-        return Status.FAILURE
+        return NodeStatus.FAILURE
 
     def halt(self) -> None:
         """Interrupt, and start with the first child next time."""
@@ -279,17 +279,17 @@ class RateController(_ControlNode):
         self._wake_at = wake_at
         self._due_ns = 0
 
-    def tick(self) -> Status:
+    def tick(self) -> NodeStatus:
         """Tick the child if it is due."""
-        if self.status is Status.IDLE:
+        if self.status is NodeStatus.IDLE:
             self._due_ns = self._now_ns()
-        self.set_status(Status.RUNNING)
+        self.set_status(NodeStatus.RUNNING)
         (child,) = self.children
-        if child.status is Status.RUNNING or self._now_ns() >= self._due_ns:
+        if child.status is NodeStatus.RUNNING or self._now_ns() >= self._due_ns:
             status = child.execute()
-            if status is not Status.SUCCESS:
+            if status is not NodeStatus.SUCCESS:
                 return status
             self._due_ns = self._now_ns() + self._period_ns
             self._wake_at(self._due_ns)
             return status
-        return Status.RUNNING
+        return NodeStatus.RUNNING

@@ -3,10 +3,9 @@
 from collections.abc import Callable
 from typing import Any
 
-from sim.middleware.action import ActionClient, GoalHandle
-from sim.middleware.action import Status as GoalStatus
+from sim.middleware.action import ActionClient, GoalHandle, GoalStatus
 from sim.middleware.node import Client
-from sim.nav2.behavior_tree import Status, TreeNode
+from sim.nav2.behavior_tree import NodeStatus, TreeNode
 
 
 class Condition(TreeNode):
@@ -16,9 +15,9 @@ class Condition(TreeNode):
         super().__init__(name)
         self._holds = holds
 
-    def tick(self) -> Status:
+    def tick(self) -> NodeStatus:
         """Test the condition."""
-        return Status.SUCCESS if self._holds() else Status.FAILURE
+        return NodeStatus.SUCCESS if self._holds() else NodeStatus.FAILURE
 
 
 class ServiceNode(TreeNode):
@@ -47,14 +46,14 @@ class ServiceNode(TreeNode):
         self._wake = wake
         self._answered = False
 
-    def tick(self) -> Status:
+    def tick(self) -> NodeStatus:
         """Call the service, or check for its answer."""
-        if self.status is Status.IDLE:
+        if self.status is NodeStatus.IDLE:
             self._answered = False
             self._on_start()
             self._client.call(None, self._on_answer)
-            return Status.RUNNING
-        return Status.SUCCESS if self._answered else Status.RUNNING
+            return NodeStatus.RUNNING
+        return NodeStatus.SUCCESS if self._answered else NodeStatus.RUNNING
 
     def _on_answer(self, _response: Any) -> None:
         self._answered = True
@@ -99,9 +98,9 @@ class ActionNode(TreeNode):
         self._handle: GoalHandle | None = None
         self._result: tuple[GoalStatus, Any] | None = None
 
-    def tick(self) -> Status:
+    def tick(self) -> NodeStatus:
         """Send the goal, or check for its result."""
-        if self.status is Status.IDLE:
+        if self.status is NodeStatus.IDLE:
             self._on_start()
             self._goal = None
             self._result = None
@@ -109,12 +108,12 @@ class ActionNode(TreeNode):
             goal = self._make_goal()
             if goal is not self._goal:
                 self._send(goal)
-            return Status.RUNNING
+            return NodeStatus.RUNNING
         status, result = self._result
         self._handle = None
         if status is GoalStatus.SUCCEEDED:
             self._on_success(result)
-        return Status.FAILURE if status is GoalStatus.ABORTED else Status.SUCCESS
+        return NodeStatus.FAILURE if status is GoalStatus.ABORTED else NodeStatus.SUCCESS
 
     def halt(self) -> None:
         """Cancel the goal."""

@@ -23,7 +23,7 @@ from sim.nav2.collision_monitor import (
     SOURCES,
     STOCK_POLYGONS,
     CollisionMonitor,
-    Source,
+    PointSource,
 )
 from sim.nav2.controller_server import ControllerServer
 from sim.nav2.costmap_node import GlobalCostmap, LocalCostmap
@@ -60,7 +60,7 @@ def bring_up(
     generator: Callable[[str], np.random.Generator],
     latency_ns: int = 0,
     run: int = 0,
-    monitored: Sequence[Source] = SOURCES,
+    monitored: Sequence[PointSource] = SOURCES,
     speed: float = 1.0,
     stock: bool = False,
     parameters: Mapping[str, float] = MappingProxyType({}),

@@ -9,21 +9,20 @@ from typing import Any
 
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
-from sim.middleware.action import ActionClient, ActionServer, GoalHandle
-from sim.middleware.action import Status as GoalStatus
+from sim.middleware.action import ActionClient, ActionServer, GoalHandle, GoalStatus
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.node import Node
 from sim.middleware.stamps import duration_message, time_message
 from sim.middleware.tf import TransformBuffer, TransformError
 from sim.nav2.behavior_tree import (
+    NodeStatus,
     PipelineSequence,
     RateController,
     ReactiveFallback,
     RecoveryNode,
     RoundRobin,
     SequenceNode,
-    Status,
     TreeNode,
 )
 from sim.nav2.behavior_tree_leaves import ActionNode, Condition, ServiceNode
@@ -221,7 +220,7 @@ class BtNavigator(LifecycleNode):
         self._follow_goal = _FollowPath(result.path, "FollowPath", "")
         self._path = path_poses(result.path)
 
-    def _on_change(self, node: TreeNode, previous: Status, status: Status) -> None:
+    def _on_change(self, node: TreeNode, previous: NodeStatus, status: NodeStatus) -> None:
         stamp = time_message(self.now_ns)
         self._changes.append(
             _BehaviorTreeStatusChange(stamp, node.name, previous.name, status.name)
@@ -307,9 +306,9 @@ class BtNavigator(LifecycleNode):
         if changed:
             self._node.log.publish(_BehaviorTreeLog(time_message(self.now_ns), self._changes))
             self._changes = []
-        if status is Status.SUCCESS:
+        if status is NodeStatus.SUCCESS:
             self._end(self._goals[0].succeed, "Goal succeeded")
-        elif status is Status.FAILURE:
+        elif status is NodeStatus.FAILURE:
             self._end(self._goals[0].abort, "Goal failed")
         elif changed or self._actions.feedback_is_received:
             self._wake()

@@ -68,7 +68,7 @@ POLYGONS = (POLYGON_STOP, POLYGON_SLOW)
 STOCK_POLYGONS = (POLYGON_STOP, POLYGON_SLOW_STOCK)
 
 
-class Source(NamedTuple):
+class PointSource(NamedTuple):
     """A topic of obstacles: laser scans, or single ranges (``sensor_msgs/msg/Range``)."""
 
     topic: str
@@ -76,10 +76,10 @@ class Source(NamedTuple):
 
 
 SOURCES = (
-    Source("/scan", "sensor_msgs/msg/LaserScan"),
-    Source("/scan_tom", "sensor_msgs/msg/LaserScan"),
-    Source("/scan_fakeobject", "sensor_msgs/msg/LaserScan"),
-    Source("/range_ella", "sensor_msgs/msg/Range"),
+    PointSource("/scan", "sensor_msgs/msg/LaserScan"),
+    PointSource("/scan_tom", "sensor_msgs/msg/LaserScan"),
+    PointSource("/scan_fakeobject", "sensor_msgs/msg/LaserScan"),
+    PointSource("/range_ella", "sensor_msgs/msg/Range"),
 )
 
 
@@ -90,13 +90,13 @@ class _Cloud:
     the transform at a message's stamp; here the previous message is used until then.
     """
 
-    def __init__(self, transforms: TransformBuffer, sources: Sequence[Source]) -> None:
+    def __init__(self, transforms: TransformBuffer, sources: Sequence[PointSource]) -> None:
         self._transforms = transforms
-        self._waiting: dict[Source, Any] = {}  # messages whose transform is not yet known
+        self._waiting: dict[PointSource, Any] = {}  # messages whose transform is not yet known
         self._points = dict.fromkeys(sources, _NO_POINTS)
-        self._until_ns: dict[Source, int] = {}  # when points become too old
+        self._until_ns: dict[PointSource, int] = {}  # when points become too old
 
-    def receive(self, source: Source, message: Any) -> None:
+    def receive(self, source: PointSource, message: Any) -> None:
         """Store a new message; the transform of the previous one is known by now."""
         if source in self._waiting:
             self._place(source)
@@ -111,7 +111,7 @@ class _Cloud:
                 self._points[source] = _NO_POINTS
         return tuple(self._points.values())
 
-    def _place(self, source: Source) -> None:
+    def _place(self, source: PointSource) -> None:
         message = self._waiting[source]
         time_ns = stamp_ns(message.header.stamp)
         try:
@@ -151,7 +151,7 @@ class CollisionMonitor(LifecycleNode):
         *,
         transforms: TransformBuffer | None = None,
         polygons: Sequence[Polygon] = POLYGONS,
-        sources: Sequence[Source] = SOURCES,
+        sources: Sequence[PointSource] = SOURCES,
         latency_ns: int = 0,
     ) -> None:
         super().__init__(domain, "/collision_monitor", latency_ns=latency_ns)

@@ -12,7 +12,7 @@ import numpy as np
 
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
-from sim.middleware.action import ActionServer, GoalHandle, Status
+from sim.middleware.action import ActionServer, GoalHandle, GoalStatus
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Timer
 from sim.middleware.geometry import Pose2D, wrap_angle
@@ -194,7 +194,7 @@ class ControllerServer(LifecycleNode):
         self._received.publish_serialized(self._path_bytes.rest(len(self._path)))
 
     def _cycle(self) -> None:
-        if self._goals[0].status is Status.CANCELING:
+        if self._goals[0].status is GoalStatus.CANCELING:
             self._end(self._goals[0].canceled)
             return
         if not self._costmap.is_current:

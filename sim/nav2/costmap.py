@@ -129,21 +129,6 @@ def _polygon_cost(
     return highest
 
 
-@jit
-def _costs_at(
-    costs: Costs, resolution: float, origin_x: float, origin_y: float, xs: Points, ys: Points
-) -> Costs:
-    result = np.empty(xs.size, np.uint8)
-    for i in range(xs.size):
-        result[i] = _cost_at(costs, resolution, origin_x, origin_y, xs[i], ys[i])
-    return result
-
-
-def point_costs(grid: Costmap2D, xs: Points, ys: Points) -> Costs:
-    """Return the costs under points in the grid's frame, shape (n,) each [m]; 255 off the grid."""
-    return _costs_at(grid.costs, grid.resolution, grid.origin_x, grid.origin_y, xs, ys)
-
-
 def footprint_cost(grid: Costmap2D, pose: Pose2D, footprint: Points = FOOTPRINT) -> int:
     """Return the highest cost under the outline of a robot at ``pose``; from 254 on it collides."""
     outline = pose.apply(footprint)

@@ -21,7 +21,7 @@ class Settings:
     global_inflation: Inflation
 
 
-class Setting(NamedTuple):
+class TunableParameter(NamedTuple):
     """One parameter: the field with its value, and its bounds."""
 
     part: str  # field of `Settings`
@@ -48,9 +48,9 @@ class Setting(NamedTuple):
 
 _DWB, _LOCAL, _GLOBAL = "dwb", "local_inflation", "global_inflation"
 
-PARAMETERS: Mapping[str, Setting] = {
+PARAMETERS: Mapping[str, TunableParameter] = {
     **{
-        f"{costmap}.inflation_layer.{name}": Setting(part, field, low, high)
+        f"{costmap}.inflation_layer.{name}": TunableParameter(part, field, low, high)
         for costmap, part in (("local_costmap", _LOCAL), ("global_costmap", _GLOBAL))
         for name, field, low, high in (
             ("inflation_radius", "radius", 0.05, 3.0),
@@ -58,7 +58,7 @@ PARAMETERS: Mapping[str, Setting] = {
         )
     },
     **{
-        f"controller_server.FollowPath.{name}": Setting(_DWB, field, low, high)
+        f"controller_server.FollowPath.{name}": TunableParameter(_DWB, field, low, high)
         for name, field, low, high in (
             ("max_vel_x", "max_vel_x", 0.01, 2.0),
             ("max_vel_theta", "max_vel_theta", 0.01, 5.0),
@@ -85,7 +85,7 @@ PARAMETERS: Mapping[str, Setting] = {
 }
 
 
-def of_node(node: str) -> dict[str, Setting]:
+def of_node(node: str) -> dict[str, TunableParameter]:
     """Return the parameters of a node by their names there."""
     return {
         name.removeprefix(f"{node}."): setting

@@ -9,7 +9,7 @@ import numpy as np
 
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
-from sim.middleware.action import ActionServer, GoalHandle, Status
+from sim.middleware.action import ActionServer, GoalHandle, GoalStatus
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND
 from sim.middleware.geometry import Pose2D
@@ -61,14 +61,14 @@ class PlannerServer(LifecycleNode):
         self._costmap.activate()
 
     def _on_goal(self, handle: GoalHandle) -> None:
-        if self._goal is not None and self._goal.status is Status.EXECUTING:
+        if self._goal is not None and self._goal.status is GoalStatus.EXECUTING:
             self._goal.abort()
         self._goal = handle
         self._serve(handle)
 
     def _serve(self, handle: GoalHandle) -> None:
         """Plan as soon as the costmap is current, unless the goal has ended by then."""
-        if handle.status is not Status.EXECUTING:
+        if handle.status is not GoalStatus.EXECUTING:
             return
         if not self._costmap.is_current:
             self.call_later(_WAIT_NS, self._serve, handle)

@@ -12,7 +12,7 @@ FREQUENCY_HZ = 20
 VELOCITY_TIMEOUT_NS = 1 * SECOND
 
 
-class Limits(NamedTuple):
+class VelocityLimits(NamedTuple):
     """Limits of one component of the velocity (m and s, or rad and s)."""
 
     low: float
@@ -20,16 +20,16 @@ class Limits(NamedTuple):
     acceleration: float
     deceleration: float  # negative
 
-    def scaled(self, speed: float) -> "Limits":
+    def scaled(self, speed: float) -> "VelocityLimits":
         """Return the limits of a slower robot with the same accelerations."""
         return self._replace(low=speed * self.low, high=speed * self.high)
 
 
-LINEAR = Limits(-0.26, 0.26, 2.5, -2.5)
-ANGULAR = Limits(-1.0, 1.0, 3.2, -3.2)
+LINEAR = VelocityLimits(-0.26, 0.26, 2.5, -2.5)
+ANGULAR = VelocityLimits(-1.0, 1.0, 3.2, -3.2)
 
 
-def smooth(current: float, command: float, limits: Limits) -> float:
+def smooth(current: float, command: float, limits: VelocityLimits) -> float:
     """Return the speed after one period on the way from ``current`` to ``command``.
 
     Speeding up is bounded by the acceleration, anything else, a change of direction included,

@@ -189,7 +189,7 @@ CYLINDERS: tuple[Cylinder, ...] = tuple(
 )
 
 
-Block: TypeAlias = Hexagon | Box
+Prism: TypeAlias = Hexagon | Box
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,8 +198,8 @@ class Arena:
 
     kind: ArenaKind
     seed: int  # seed that it was drawn from; 0 if nothing is drawn
-    boundary: Block  # inner face of the outer wall
-    blocks: tuple[Block, ...]
+    boundary: Prism  # inner face of the outer wall
+    blocks: tuple[Prism, ...]
     pillars: tuple[Cylinder, ...]
 
     @property
@@ -256,13 +256,13 @@ def _outlines(arena: Arena) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.array(arena.boundary.outline()), np.array(obstacles).reshape(-1, 7)
 
 
-def _mirrored(block: Block) -> Block:
+def _mirrored(block: Prism) -> Prism:
     if isinstance(block, Box):
         return replace(block, y=0.0 - block.y, yaw=0.0 - block.yaw)
     return replace(block, y=0.0 - block.y)  # its corners lie alike on both sides
 
 
-def _block(document: Mapping[str, Any]) -> Block:
+def _block(document: Mapping[str, Any]) -> Prism:
     return Hexagon(**document) if "circumradius" in document else Box(**document)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.jit import jit
-from sim.turtlebot3.arena import Arena, Block, Cylinder
+from sim.turtlebot3.arena import Arena, Cylinder, Prism
 
 # The ball: its centre in the robot's frame [m], and its radius with 1 cm to spare [m]. Farthest
 # from the centre are the treads of the wheels, 0.193 m.
@@ -47,7 +47,7 @@ class ClearSpace:
         return _all_clear(poses, self._boundary, self._blocks, self._pillars)
 
 
-def _rows(blocks: Iterable[Block]) -> NDArray[np.float64]:
+def _rows(blocks: Iterable[Prism]) -> NDArray[np.float64]:
     """Return x and y of each block's centre, then its three slabs, shape (n, 11)."""
     return np.array([(b.x, b.y, *b.slabs().ravel()) for b in blocks]).reshape(-1, 11)
 

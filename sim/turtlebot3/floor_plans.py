@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sim.nav2.footprint import INSCRIBED_RADIUS
-from sim.turtlebot3.arena import HEXAGON, Arena, ArenaKind, Block, Box, Cylinder
+from sim.turtlebot3.arena import HEXAGON, Arena, ArenaKind, Box, Cylinder, Prism
 
 KINDS: tuple[ArenaKind, ...] = ("hexagon", "house", "random")  # in the order of the rotation
 
@@ -29,7 +29,7 @@ _HOUSE = (3.7, 2.8)  # half the length and width of the house [m]
 _HOUSE_DOOR_M = 0.96
 _MIN_ROOM_M = 2.2
 P = ParamSpec("P")
-Piece = Box | Cylinder
+Furnishing = Box | Cylinder
 
 _CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 
@@ -61,7 +61,7 @@ class _Floor:
 
     def __init__(self, half_x: float, half_y: float) -> None:
         self.boundary = Box("walls", 0.0, 0.0, half_x, half_y)
-        self.blocks: list[Block] = []
+        self.blocks: list[Prism] = []
         self.pillars: list[Cylinder] = []
         axes = (np.arange(-half, half + _CELL_M, _CELL_M) for half in (half_x, half_y))
         self._x, self._y = np.meshgrid(*axes)
@@ -69,7 +69,9 @@ class _Floor:
         self._distance = -self.boundary.signed_distance(self._points)
         self._groups = 1  # of obstacles with passages between them
 
-    def put(self, draw: Callable[P, Piece | list[Box]], *of: P.args, **named: P.kwargs) -> bool:
+    def put(
+        self, draw: Callable[P, Furnishing | list[Box]], *of: P.args, **named: P.kwargs
+    ) -> bool:
         """Place a drawn piece, if one of the draws fits; return whether one did."""
         for _ in range(_DRAWS):
             drawn = draw(*of, **named)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sim.middleware.geometry import Pose2D
-from sim.turtlebot3.arena import HEXAGON, RING_THICKNESS, Arena, Block, Box, Cylinder, Hexagon
+from sim.turtlebot3.arena import HEXAGON, RING_THICKNESS, Arena, Box, Cylinder, Hexagon, Prism
 
 STEP_NS = 5_000_000
 
@@ -127,7 +127,7 @@ def _touch_sensor(piece: str) -> str:
     return f'<contact subtree1="base_footprint" body2="{piece}" data="found"/>'
 
 
-def _block(block: Block) -> str:
+def _block(block: Prism) -> str:
     """Return a box, or a hexagon: the union of the three boxes that join its opposite sides."""
     if isinstance(block, Box):
         half = (block.half_x, block.half_y, block.height / 2.0)
@@ -139,7 +139,7 @@ def _block(block: Block) -> str:
     )
 
 
-def _wall_around(boundary: Block) -> str:
+def _wall_around(boundary: Prism) -> str:
     """Return walls behind the inner faces, long enough to close the corners."""
     if isinstance(boundary, Box):
         return _four_walls(boundary)

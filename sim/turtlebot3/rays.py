@@ -18,7 +18,7 @@ _MIN = 1e-15  # mjMINVAL
 _SPARE = 1e-6  # margin of the test whether a ray comes near a piece [m]
 
 
-class Piece(NamedTuple):
+class Geom(NamedTuple):
     """A box or a cylinder, as in ``mjModel`` and ``mjData``."""
 
     position: NDArray[np.float64]  # (3,) of its centre [m]
@@ -36,7 +36,7 @@ class Rays:
         What the rays can hit.
     """
 
-    def __init__(self, pieces: Iterable[Piece]) -> None:
+    def __init__(self, pieces: Iterable[Geom]) -> None:
         pieces = list(pieces)
         rows = [(*p.position, *p.rotation, *p.size, _reach(p)) for p in pieces]
         self._pieces = np.array(rows, np.float64).reshape(-1, 16)
@@ -63,7 +63,7 @@ class Rays:
         return _cast(self._pieces, self._is_box, *origin, cosines, sines, range_max)
 
 
-def _reach(piece: Piece) -> float:
+def _reach(piece: Geom) -> float:
     """Return the radius of a ball around a piece [m]."""
     x, y, z = piece.size
     return math.hypot(x, y, z) if piece.is_box else math.hypot(x, y)

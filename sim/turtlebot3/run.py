@@ -16,7 +16,7 @@ from sim.middleware.delays import Delays
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.middleware.geometry import Pose2D
-from sim.nav2.basic_navigator import GoalResult
+from sim.nav2.basic_navigator import GoalProgress
 from sim.nav2.bringup import bring_up
 from sim.nav2.collision_monitor import SOURCES
 from sim.recording import DEBUG_TOPICS, ReceiveClock
@@ -170,7 +170,7 @@ class TurtleBot3Run(TestbedRun):
     def _on_patrol_over(self) -> None:
         self._patrol_over = True
 
-    def _on_goal_accepted(self, _result: GoalResult) -> None:
+    def _on_goal_accepted(self, _result: GoalProgress) -> None:
         self._odometer.mark()
         activation, number = self._program.activation, len(self._nav2.navigator.results)
         if activation.after == "goal_accepted" and number == activation.goal:
@@ -209,7 +209,7 @@ class TurtleBot3Run(TestbedRun):
         rng = self._recipe.generator("/rosbag2_recorder")
         return ReceiveClock(self._executor.now_ns, rng)
 
-    def _goal_result(self, result: GoalResult, driven_m: float) -> schema.GoalResult:
+    def _goal_result(self, result: GoalProgress, driven_m: float) -> schema.GoalResult:
         ended_s = None if result.ended_ns is None else self._seconds(result.ended_ns)
         outcome: schema.Outcome = "timeout"  # the run ended before the goal did
         if result.outcome is not None:

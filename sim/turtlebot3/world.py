@@ -18,7 +18,7 @@ from sim.jit import jit
 from sim.middleware.geometry import Pose2D, quaternion_yaw, wrapped
 from sim.turtlebot3.clear_space import ClearSpace
 from sim.turtlebot3.mjcf import STATIC, STEP_NS, WorldParameters, mjcf, pieces
-from sim.turtlebot3.rays import Piece, Rays
+from sim.turtlebot3.rays import Geom, Rays
 from sim.turtlebot3.wheel_odometry import Wheels
 
 _EPISODE_GAP_NS = 1_000_000_000  # a robot that scrapes along a wall touches it again and again
@@ -261,12 +261,12 @@ class World:
         colours = 255.0 * light[:, None] * self._colours[geoms]
         return View(distances, np.rint(colours).astype(np.uint8))
 
-    def _seen_by_lidars(self) -> Iterator[Piece]:
+    def _seen_by_lidars(self) -> Iterator[Geom]:
         """Yield the geoms of the pieces of the world; none of them moves."""
         model, data = self._model, self._data
         for geom in np.flatnonzero(model.geom_group == STATIC).tolist():
             is_box = bool(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX)
-            yield Piece(data.geom_xpos[geom], data.geom_xmat[geom], model.geom_size[geom], is_box)
+            yield Geom(data.geom_xpos[geom], data.geom_xmat[geom], model.geom_size[geom], is_box)
 
     @property
     def _row(self) -> int:

@@ -19,8 +19,8 @@ from sim.campaigns import Campaign
 from sim.experiments import recipe_for, record_run
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.execution import execute
-from sim.fuzzing.fields import zero
 from sim.fuzzing.program import Program
+from sim.fuzzing.value_types import zero
 from sim.middleware.executor import SECOND
 from sim.middleware.stamps import header
 from sim.scenarios import builtin_scenarios

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from oracle_pipeline.bags.types import serialize
-from sim.atc.airspace import AirSpace, Flight, State, Waypoint
+from sim.atc.airspace import AircraftState, AirSpace, Flight, Waypoint
 from sim.atc.geodesy import AIRPORT, Place, destination, distance, slant_range, to_geodetic
 from sim.atc.sensors import (
     ADSB_TYPE,
@@ -77,7 +77,7 @@ def test_a_radar_without_errors_reports_exact_range_azimuth_and_time():
 
 
 def test_a_plot_shows_where_the_aircraft_was_when_the_beam_passed():
-    moving = State(20_000.0, 40_000.0, 5_000.0, 200.0, 0.0, 0.0)  # at the sector's end
+    moving = AircraftState(20_000.0, 40_000.0, 5_000.0, 200.0, 0.0, 0.0)  # at the sector's end
     (heard,) = replies(states(moving), TURN_S)
     ago_s = TURN_S / 8 - stamp_ns(heard.header.stamp) / 1e9  # the sector ends at 45 degrees
     assert ago_s == pytest.approx((45.0 - math.degrees(math.atan2(2, 4))) / 360.0 * TURN_S)
@@ -130,7 +130,7 @@ def test_the_primary_radar_has_false_plots():
 
 
 def test_ads_b_reports_about_twice_a_second_and_loses_one_squitter_in_twenty():
-    measure = {0: State(*still(10_000.0, 0.0)), 1: None}.get
+    measure = {0: AircraftState(*still(10_000.0, 0.0)), 1: None}.get
     heard = received(measure, 1_000.0)
     assert {report.icao24 for report in heard} == {"C07AB1"}
     assert len(heard) == pytest.approx(2 * 0.95 * 1_000, rel=0.02)
@@ -141,7 +141,7 @@ def test_ads_b_reports_about_twice_a_second_and_loses_one_squitter_in_twenty():
 
 
 def test_ads_b_positions_are_within_30_m_in_95_of_100_reports_and_change_slowly():
-    state = State(10_000.0, 30_000.0, 5_000.0, 120.0, 160.0, 0.0)
+    state = AircraftState(10_000.0, 30_000.0, 5_000.0, 120.0, 160.0, 0.0)
     here = Place(*to_geodetic(state.x, state.y))
     errors = []
     for seed in range(40):
@@ -160,7 +160,7 @@ def test_ads_b_tracks_are_from_true_north():
     # Due away from the airport, far in the east: north there is not the plane's y axis.
     there = destination(AIRPORT, 90.0, 80_000.0)
     x, y = 79_998.0, 0.0
-    state = State(x, y, 5_000.0, 200.0, 0.0, 0.0)
+    state = AircraftState(x, y, 5_000.0, 200.0, 0.0, 0.0)
     tracks = [report.track_deg for report in received(lambda _: state, 300.0, WHO[:1])]
     onward = destination(AIRPORT, 90.0, 80_100.0)
     bearing = math.degrees(

@@ -70,9 +70,9 @@ def test_the_scenarios_of_a_file_share_its_bound(tmp_path):
 
 def test_all_built_in_scenarios_together_take_a_third_of_what_a_file_may():
     from sim.fuzzing.compilation import compile_scenario
-    from sim.fuzzing.compile_context import Budget
+    from sim.fuzzing.compile_context import OperationBudget
 
-    budget = Budget()
+    budget = OperationBudget()
     for scenario in builtin_scenarios().values():
         compile_scenario(scenario, allow_actuation=True, budget=budget)
     assert 0 < MAX_OPERATIONS - budget.left < MAX_OPERATIONS / 3

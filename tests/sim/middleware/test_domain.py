@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 
 from oracle_pipeline.bags.types import message_class, serialize
 from sim.middleware import qos
-from sim.middleware.action import ActionClient, ActionServer, Status
+from sim.middleware.action import ActionClient, ActionServer, GoalStatus
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.middleware.node import Node
@@ -182,7 +182,7 @@ class TestAction:
         )
 
     @pytest.mark.parametrize(
-        ("end", "status"), [("succeed", Status.SUCCEEDED), ("abort", Status.ABORTED)]
+        ("end", "status"), [("succeed", GoalStatus.SUCCEEDED), ("abort", GoalStatus.ABORTED)]
     )
     def test_a_goal_is_accepted_executed_and_ends_with_its_result(
         self, domain, server, end, status
@@ -204,7 +204,7 @@ class TestAction:
         domain.executor.run_until(1)
         assert results == [(status, "result")]
         assert feedback == ["halfway"]
-        assert statuses == [Status.ACCEPTED, Status.EXECUTING, status]
+        assert statuses == [GoalStatus.ACCEPTED, GoalStatus.EXECUTING, status]
 
     def test_a_cancelled_goal_ends_as_the_server_answers(self, domain, server):
         results = []
@@ -216,7 +216,7 @@ class TestAction:
         assert self.canceled == [handle]
         handle.canceled()
         domain.executor.run_until(2)
-        assert results == [(Status.CANCELED, None)]
+        assert results == [(GoalStatus.CANCELED, None)]
 
     def test_a_goal_ends_once(self, domain, server):
         client = ActionClient(Node(domain, "/client"), self.ACTION, "/wait")

@@ -3,7 +3,7 @@ import pytest
 
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
-from sim.middleware.action import ActionClient, Status
+from sim.middleware.action import ActionClient, GoalStatus
 from sim.middleware.executor import SECOND
 from sim.middleware.stamps import duration_message, stamp_ns
 from sim.nav2.behavior_server import BehaviorServer
@@ -61,7 +61,7 @@ def test_spin_turns_by_the_angle_at_1_rad_per_second_then_slower(rig, angle):
     rig.do("spin", "Spin", angle, seconds(10.0))
     rig.run(5.0)
     ((status, ended),) = rig.ended
-    assert status is Status.SUCCEEDED
+    assert status is GoalStatus.SUCCEEDED
     assert 1.57 <= rig.pose.yaw * np.sign(angle) < 1.57 + 0.4 * 0.14
     assert 1.57 < ended < 2.5
     speeds = {round(abs(w), 6) for _, _, w in rig.twists[:-1]}
@@ -73,7 +73,7 @@ def test_spin_turns_by_the_angle_at_1_rad_per_second_then_slower(rig, angle):
 def test_backup_drives_back_whatever_the_signs_of_the_goal(rig):
     rig.do("backup", "BackUp", Point(0.30, 0.0, 0.0), 0.05, seconds(10.0))
     rig.run(10.0)
-    assert [status for status, _ in rig.ended] == [Status.SUCCEEDED]
+    assert [status for status, _ in rig.ended] == [GoalStatus.SUCCEEDED]
     assert rig.pose.x == pytest.approx(-0.30, abs=0.01)
     assert {v for _, v, _ in rig.twists[:-1]} == {-0.05}
 
@@ -83,7 +83,7 @@ def test_a_wall_behind_ends_a_backup_before_it_is_touched(rig):
     rig.publish_costmap()
     rig.do("backup", "BackUp", Point(0.30, 0.0, 0.0), 0.05, seconds(10.0))
     rig.run(10.0)
-    assert [status for status, _ in rig.ended] == [Status.ABORTED]
+    assert [status for status, _ in rig.ended] == [GoalStatus.ABORTED]
     assert -0.17 < rig.pose.x < -0.05  # two seconds of 0.05 m/s ahead of the wall
     assert rig.twists[-1][1:] == (0.0, 0.0)
 
@@ -97,7 +97,7 @@ def test_a_behaviour_does_nothing_before_it_has_received_a_costmap():
     goal = GOALS["BackUp"](Point(0.3, 0.0, 0.0), 0.05, seconds(10.0))
     client.send_goal(goal, lambda status, _: ended.append(status))
     rig.run(1.0)
-    assert ended == [Status.ABORTED]
+    assert ended == [GoalStatus.ABORTED]
     assert rig.pose.x == 0.0
 
 
@@ -106,7 +106,7 @@ def test_the_time_allowance_ends_a_behaviour_of_a_robot_that_is_held(rig):
     rig.do("spin", "Spin", 1.57, seconds(3.0))
     rig.run(5.0)
     ((status, ended),) = rig.ended
-    assert status is Status.ABORTED
+    assert status is GoalStatus.ABORTED
     assert ended == pytest.approx(3.1, abs=0.01)
 
 
@@ -115,7 +115,7 @@ def test_wait_waits_and_sends_nothing(rig):
     rig.do("wait", "Wait", seconds(5.0))
     rig.run(6.0)
     ((status, ended),) = rig.ended
-    assert status is Status.SUCCEEDED
+    assert status is GoalStatus.SUCCEEDED
     assert ended - started == pytest.approx(5.0)
     assert rig.twists == []
     assert rig.elapsed_ns == 5 * SECOND
@@ -126,7 +126,7 @@ def test_cancelling_stops_the_robot(rig):
     rig.run(1.0)
     handle.cancel()
     rig.run(0.2)
-    assert [status for status, _ in rig.ended] == [Status.CANCELED]
+    assert [status for status, _ in rig.ended] == [GoalStatus.CANCELED]
     assert rig.twists[-1][1:] == (0.0, 0.0)
     assert rig.elapsed_ns == pytest.approx(SECOND, abs=0.1 * SECOND)
 
@@ -136,7 +136,7 @@ def test_a_second_goal_ends_both_as_in_nav2(rig):
     rig.run(1.0)
     rig.do("spin", "Spin", 6.0, seconds(10.0))
     rig.run(0.2)
-    assert [status for status, _ in rig.ended] == [Status.ABORTED, Status.ABORTED]
+    assert [status for status, _ in rig.ended] == [GoalStatus.ABORTED, GoalStatus.ABORTED]
 
 
 def test_five_publishers_reach_the_wheels_directly(rig):

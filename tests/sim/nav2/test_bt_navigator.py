@@ -7,7 +7,7 @@ import pytest
 
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
-from sim.middleware.action import ActionClient, ActionServer, Status
+from sim.middleware.action import ActionClient, ActionServer, GoalStatus
 from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.geometry import Pose2D
 from sim.middleware.node import Node
@@ -121,7 +121,7 @@ def test_a_goal_is_planned_followed_and_reached(rig):
     assert rig.names() == ["compute_path_to_pose", "follow_path"]
     rig.arrive()
     rig.run(0.1)
-    assert rig.ended == [Status.SUCCEEDED]
+    assert rig.ended == [GoalStatus.SUCCEEDED]
 
 
 def test_it_replans_once_a_second_and_forwards_every_new_path(rig):
@@ -138,7 +138,7 @@ def test_recoveries_come_in_turn_and_after_six_of_them_the_goal_is_aborted(rig):
     rig.script["follow_path"] = abort
     rig.go()
     rig.run(10.0)
-    assert rig.ended == [Status.ABORTED]
+    assert rig.ended == [GoalStatus.ABORTED]
     attempt = ["follow_path", "clear local", "follow_path"]  # one retry after a context clear
     recoveries = [["clear local", "clear global"], ["spin"], ["wait"], ["backup"]]
     expected = attempt.copy()
@@ -165,7 +165,7 @@ def test_without_a_plan_the_global_costmap_is_cleared_and_nothing_is_followed(ri
     rig.script["compute_path_to_pose"] = abort
     rig.go()
     rig.run(10.0)
-    assert rig.ended == [Status.ABORTED]
+    assert rig.ended == [GoalStatus.ABORTED]
     assert rig.names()[:4] == [
         "compute_path_to_pose",
         "clear global",
@@ -184,7 +184,7 @@ def test_one_failure_is_healed_by_the_context_clear_alone(rig):
     rig.run(0.5)
     rig.arrive()
     rig.run(0.1)
-    assert rig.ended == [Status.SUCCEEDED]
+    assert rig.ended == [GoalStatus.SUCCEEDED]
     assert rig.names() == ["compute_path_to_pose", "follow_path", "clear local", "follow_path"]
     assert rig.navigator.number_of_recoveries == 1
 
@@ -194,8 +194,8 @@ def test_cancelling_stops_what_is_under_way(rig):
     rig.run(0.5)
     handle.cancel()
     rig.run(0.1)
-    assert rig.ended == [Status.CANCELED]
-    assert rig.following[0].status is Status.CANCELED
+    assert rig.ended == [GoalStatus.CANCELED]
+    assert rig.following[0].status is GoalStatus.CANCELED
     rig.calls.clear()
     rig.run(3.0)
     assert rig.calls == []
@@ -206,11 +206,11 @@ def test_a_new_goal_replaces_the_old_one_and_is_planned_for_within_a_second(rig)
     rig.run(0.5)
     rig.go(2.0)
     rig.run(1.0)
-    assert rig.ended == [Status.ABORTED]
+    assert rig.ended == [GoalStatus.ABORTED]
     assert rig.following[0].goal.path.poses[-1].pose.position.x == 2.0
     rig.arrive()
     rig.run(0.1)
-    assert rig.ended == [Status.ABORTED, Status.SUCCEEDED]
+    assert rig.ended == [GoalStatus.ABORTED, GoalStatus.SUCCEEDED]
 
 
 def test_a_new_goal_interrupts_a_recovery(rig):
@@ -219,11 +219,11 @@ def test_a_new_goal_interrupts_a_recovery(rig):
     rig.script["spin"] = held.append
     rig.go(1.0)
     rig.run(1.0)
-    assert held[0].status is Status.EXECUTING
+    assert held[0].status is GoalStatus.EXECUTING
     rig.script["follow_path"] = rig.follow
     rig.go(2.0)
     rig.run(0.5)
-    assert held[0].status is Status.CANCELED
+    assert held[0].status is GoalStatus.CANCELED
     assert rig.following[0].goal.path.poses[-1].pose.position.x == 2.0
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from oracle_pipeline.bags.types import message_class
-from sim.middleware.action import ActionClient, Status
+from sim.middleware.action import ActionClient, GoalStatus
 from sim.middleware.executor import SECOND
 from sim.middleware.geometry import Pose2D
 from sim.middleware.stamps import stamp_ns
@@ -77,7 +77,7 @@ def rig():
 def test_a_straight_path_is_driven_to_its_end_without_weaving(rig):
     rig.follow(line(2.0))
     rig.run(15.0)
-    assert rig.ended == [Status.SUCCEEDED]
+    assert rig.ended == [GoalStatus.SUCCEEDED]
     assert math.hypot(2.0 - rig.pose.x, rig.pose.y) <= 0.25
     assert abs(rig.pose.y) < 0.03
     assert rig.twists[-1][1:] == (0.0, 0.0)
@@ -88,7 +88,7 @@ def test_a_straight_path_is_driven_to_its_end_without_weaving(rig):
 def test_it_turns_to_the_goals_yaw(rig):
     rig.follow(line(1.0, end_yaw=2.0))
     rig.run(20.0)
-    assert rig.ended == [Status.SUCCEEDED]
+    assert rig.ended == [GoalStatus.SUCCEEDED]
     assert abs(rig.pose.yaw - 2.0) <= 0.25
 
 
@@ -96,7 +96,7 @@ def test_a_path_that_starts_behind_the_robot_is_reached_too():
     rig = Rig(Pose2D(yaw=math.pi - 0.1))
     rig.follow(line(1.5))
     rig.run(30.0)
-    assert rig.ended == [Status.SUCCEEDED]
+    assert rig.ended == [GoalStatus.SUCCEEDED]
 
 
 def test_commands_come_at_20_hz_from_the_moment_of_acceptance(rig):
@@ -112,10 +112,10 @@ def test_a_new_path_takes_over_without_a_stop(rig):
     rig.run(3.0)
     rig.follow(line(2.0, end_yaw=0.3))
     rig.run(1.0)
-    assert rig.ended == [Status.ABORTED]
+    assert rig.ended == [GoalStatus.ABORTED]
     assert all(linear > 0.1 for time, linear, _ in rig.twists if time > 2 * SECOND)
     rig.run(10.0)
-    assert rig.ended == [Status.ABORTED, Status.SUCCEEDED]
+    assert rig.ended == [GoalStatus.ABORTED, GoalStatus.SUCCEEDED]
 
 
 def arrived_and_turning():
@@ -134,7 +134,7 @@ def test_a_new_path_to_the_same_goal_does_not_make_a_robot_that_has_arrived_set_
     rig = arrived_and_turning()
     rig.follow(line(1.0, end_yaw=2.0))
     rig.run(5.0)
-    assert rig.ended == [Status.ABORTED, Status.SUCCEEDED]
+    assert rig.ended == [GoalStatus.ABORTED, GoalStatus.SUCCEEDED]
     assert {linear for _, linear, _ in rig.twists} == {0.0}
 
 
@@ -142,7 +142,7 @@ def test_a_new_path_to_another_goal_makes_the_robot_set_off_again():
     rig = arrived_and_turning()
     rig.follow(line(1.1, end_yaw=2.0))
     rig.run(10.0)
-    assert rig.ended == [Status.ABORTED, Status.SUCCEEDED]
+    assert rig.ended == [GoalStatus.ABORTED, GoalStatus.SUCCEEDED]
     assert math.hypot(1.1 - rig.pose.x, rig.pose.y) <= 0.25
 
 
@@ -154,7 +154,7 @@ def test_a_robot_that_was_stopped_on_arrival_starts_afresh():
     rig.run(0.1)
     rig.follow(line(1.0, end_yaw=2.0))
     rig.run(10.0)
-    assert rig.ended[-1] is Status.SUCCEEDED
+    assert rig.ended[-1] is GoalStatus.SUCCEEDED
     assert math.hypot(1.0 - rig.pose.x, rig.pose.y) <= 0.25
 
 
@@ -164,7 +164,7 @@ def test_a_robot_that_is_held_is_given_up_after_ten_seconds_even_with_new_paths(
     for _ in range(9):
         rig.follow(line(2.0))
         rig.run(1.0)
-    assert rig.ended == [Status.ABORTED] * 8  # each replaced by the next
+    assert rig.ended == [GoalStatus.ABORTED] * 8  # each replaced by the next
     rig.run(2.0)
     assert len(rig.ended) == 9
     assert 10.0 < (rig.twists[-1][0] - started_ns) / SECOND <= 10.1
@@ -175,7 +175,7 @@ def test_without_a_legal_velocity_it_halts_and_gives_up_after_0_3_s(rig):
     started_ns = rig.now_ns
     rig.follow(line(2.0) + np.array([9.0, 0.0, 0.0]))
     rig.run(1.0)
-    assert rig.ended == [Status.ABORTED]
+    assert rig.ended == [GoalStatus.ABORTED]
     assert {(linear, angular) for _, linear, angular in rig.twists} == {(0.0, 0.0)}
     assert 0.3 < (rig.twists[-1][0] - started_ns) / SECOND <= 0.4
 
@@ -183,7 +183,7 @@ def test_without_a_legal_velocity_it_halts_and_gives_up_after_0_3_s(rig):
 def test_an_empty_path_is_refused(rig):
     rig.follow(np.empty((0, 3)))
     rig.run(0.1)
-    assert rig.ended == [Status.ABORTED]
+    assert rig.ended == [GoalStatus.ABORTED]
 
 
 def test_cancelling_stops_the_robot(rig):
@@ -191,7 +191,7 @@ def test_cancelling_stops_the_robot(rig):
     rig.run(2.0)
     handle.cancel()
     rig.run(0.1)
-    assert rig.ended == [Status.CANCELED]
+    assert rig.ended == [GoalStatus.CANCELED]
     assert rig.twists[-1][1:] == (0.0, 0.0)
 
 

@@ -19,7 +19,6 @@ from sim.nav2.costmap import (
     costmap_message,
     footprint_cost,
     occupancy_grid,
-    point_costs,
 )
 from sim.nav2.costmap_layers import (
     Observation,
@@ -254,13 +253,6 @@ def test_beams_at_no_finite_angle_end_nowhere_and_give_no_warning(first, step):
 
 
 # -- reading and messages --------------------------------------------------------------------
-
-
-def test_points_read_their_cell_and_unknown_off_the_grid():
-    grid = empty_grid()
-    grid.costs[40, 41] = 77
-    xs = np.array([0.051, 0.099, 0.101, -2.01, 2.0])
-    assert point_costs(grid, xs, np.full(5, 0.02)).tolist() == [77, 77, 0, 255, 255]
 
 
 def test_footprint_cost_is_that_of_the_outline_only():

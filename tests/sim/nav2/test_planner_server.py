@@ -3,7 +3,7 @@ import pytest
 
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
-from sim.middleware.action import ActionClient, Status
+from sim.middleware.action import ActionClient, GoalStatus
 from sim.nav2.costmap import LETHAL
 from sim.nav2.costmap_node import GlobalCostmap
 from sim.nav2.map_server import MapServer, OccupancyMap
@@ -69,7 +69,7 @@ def test_path_goes_through_the_door_and_carries_the_goals_orientation_at_its_end
     rig.ask(3.0, -1.0, 0.7)
     rig.robot.run(0.001)
     ((status, result),) = rig.answers
-    assert status is Status.SUCCEEDED
+    assert status is GoalStatus.SUCCEEDED
     poses = path_poses(result.path)
     assert result.path.header.frame_id == "map"
     assert poses[0, :2] == pytest.approx([0.0, 0.0], abs=0.05)
@@ -98,7 +98,7 @@ def test_unreachable_goal_aborts_and_publishes_nothing(rig, goal):
     rig.costmap.grid.costs[50:70, 80] = LETHAL  # shuts the door
     rig.ask(*goal)
     rig.robot.run(0.001)
-    assert rig.answers == [(Status.ABORTED, None)]
+    assert rig.answers == [(GoalStatus.ABORTED, None)]
     assert rig.plans == []
 
 
@@ -108,7 +108,7 @@ def test_cleared_costmap_is_not_planned_on_before_its_update(rig):
     rig.robot.run(0.5)
     assert rig.answers == []
     rig.robot.run(0.6)
-    assert rig.answers[0][0] is Status.SUCCEEDED
+    assert rig.answers[0][0] is GoalStatus.SUCCEEDED
 
 
 def test_goal_that_waits_can_be_cancelled_or_replaced(rig):
@@ -122,8 +122,8 @@ def test_goal_that_waits_can_be_cancelled_or_replaced(rig):
     rig.ask(1.0, -1.0)
     rig.robot.run(1.1)
     assert [status for status, _ in rig.answers] == [
-        Status.CANCELED,
-        Status.ABORTED,
-        Status.SUCCEEDED,
+        GoalStatus.CANCELED,
+        GoalStatus.ABORTED,
+        GoalStatus.SUCCEEDED,
     ]
     assert len(rig.plans) == 1

@@ -30,7 +30,7 @@ class _Change(NamedTuple):
     undo: Callable[[], None]
 
 
-class Conditions:
+class SystemChanges:
     """Changes of a scenario other than messages.
 
     Parameters
