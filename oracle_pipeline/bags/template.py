@@ -8,21 +8,20 @@ import functools
 import math
 import struct
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import Nodetype
 
+from oracle_pipeline.bags.cdr import ENCAPSULATION, Leaf, leaves
 from oracle_pipeline.bags.errors import BagError
-from oracle_pipeline.bags.types import serialize, typestore
+from oracle_pipeline.bags.types import serialize
 
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 """The fields of a header's stamp, which differs in every message."""
 
-_NUMPY_NAMES = {"byte": "int8", "char": "uint8", "octet": "uint8"}  # others are numpy's own
 _ARRAY = 64  # from this many numbers on, numpy writes a row faster than struct
-_HEADER = 4  # bytes of CDR's encapsulation; alignment counts from their end
+_BEGIN = len(ENCAPSULATION)
 
 
 class Template:
@@ -45,14 +44,14 @@ class Template:
     """
 
     def __init__(self, prototype: Any, msgtype: str, fields: Sequence[str]) -> None:
-        leaves = list(_leaves(msgtype, prototype))
-        numbers = {field: _numbers(leaves, field, msgtype) for field in fields}
+        layout = list(leaves(msgtype, prototype))
+        numbers = {field: _numbers(layout, field, msgtype) for field in fields}
         data = serialize(prototype, msgtype)
         self._dtype = np.dtype(
             {
                 "names": list(numbers),
                 "formats": [kind for kind, _ in numbers.values()],
-                "offsets": [_HEADER + offset for _, offset in numbers.values()],
+                "offsets": [_BEGIN + offset for _, offset in numbers.values()],
                 "itemsize": len(data),
             }
         )
@@ -62,25 +61,25 @@ class Template:
         self._fill = [*self._fillers(list(numbers.values()))]
 
     def _fillers(
-        self, numbers: Sequence[tuple[tuple[str, tuple[int, ...]], int]]
+        self, numbers: Sequence[tuple[tuple[np.dtype[Any], tuple[int, ...]], int]]
     ) -> Iterator[Callable[[Sequence[Any]], None]]:
         """Yield functions that write adjacent numbers, or a row, into the buffer."""
         number = 0
         while number < len(numbers):
-            (kind, shape), offset = numbers[number]
+            (dtype, shape), offset = numbers[number]
             begin, formats, end = number, "<", offset
             number += 1
             if shape:
-                yield _row_filler(self._buffer, np.dtype(kind), shape, _HEADER + offset, begin)
+                yield _row_filler(self._buffer, dtype, shape, _BEGIN + offset, begin)
                 continue
             for (other, other_shape), beside in numbers[begin:]:
                 if other_shape or beside != end:
                     break
-                formats += np.dtype(other).char
-                end = beside + np.dtype(other).itemsize
+                formats += other.char
+                end = beside + other.itemsize
             number = begin + len(formats) - 1
             pack = functools.partial(
-                struct.Struct(formats).pack_into, self._buffer, _HEADER + offset
+                struct.Struct(formats).pack_into, self._buffer, _BEGIN + offset
             )
             yield _numbers_filler(pack, begin, number)
 
@@ -116,67 +115,16 @@ def _row_filler(
     return lambda values: pack(buffer, offset, *values[index])
 
 
-class _Leaf(NamedTuple):
-    """Numbers of one type, or a string, that lie next to each other in a message."""
-
-    path: str
-    kind: str  # numpy's name of the type, or "string"
-    offset: int
-    shape: tuple[int, ...]  # empty for a single value
-
-
 def _numbers(
-    leaves: Sequence[_Leaf], field: str, msgtype: str
-) -> tuple[tuple[str, tuple[int, ...]], int]:
+    layout: Sequence[Leaf], field: str, msgtype: str
+) -> tuple[tuple[np.dtype[Any], tuple[int, ...]], int]:
     """Return numpy format and offset of a field."""
-    inside = [leaf for leaf in leaves if f"{leaf.path}.".startswith(f"{field}.")]
-    kinds = {leaf.kind for leaf in inside}
-    if len(kinds) != 1 or "string" in kinds:
+    inside = [leaf for leaf in layout if f"{leaf.path}.".startswith(f"{field}.")]
+    dtypes = {leaf.dtype for leaf in inside}
+    dtype = dtypes.pop() if len(dtypes) == 1 else None
+    if dtype is None:
         raise BagError(f"{field!r} of {msgtype} is not made of numbers of one type.")
     shape = inside[0].shape
     if inside[0].path != field:
         shape = (sum(math.prod(leaf.shape) for leaf in inside),)
-    return (kinds.pop(), shape), inside[0].offset
-
-
-def _leaves(msgtype: str, message: Any) -> Iterator[_Leaf]:
-    """Yield everything in a message in the order of CDR."""
-    position = 0
-
-    def walk(path: str, desc: Any, value: Any) -> Iterator[_Leaf]:
-        nonlocal position
-        kind, detail = desc
-        if kind == Nodetype.NAME:
-            for name, part in typestore().fielddefs[detail][1]:
-                yield from walk(f"{path}.{name}", part, getattr(value, name))
-        elif kind == Nodetype.BASE and detail[0] == "string":
-            position = _aligned(position, 4)
-            yield _Leaf(path[1:], "string", position, ())
-            position += 4 + len(value.encode()) + 1
-        elif kind == Nodetype.BASE:
-            yield from numbers(path, detail[0], ())
-        else:
-            (element, length) = detail
-            if kind == Nodetype.SEQUENCE:
-                position = _aligned(position, 4) + 4
-                length = len(value)
-            if element[0] == Nodetype.BASE and element[1][0] != "string":
-                yield from numbers(path, element[1][0], (length,))
-            else:
-                for index in range(length):
-                    yield from walk(f"{path}.{index}", element, value[index])
-
-    def numbers(path: str, name: str, shape: tuple[int, ...]) -> Iterator[_Leaf]:
-        nonlocal position
-        dtype = np.dtype(_NUMPY_NAMES.get(name, name)).newbyteorder("<")
-        count = math.prod(shape)
-        if count:  # an empty array is not aligned
-            position = _aligned(position, dtype.itemsize)
-            yield _Leaf(path[1:], dtype.str, position, shape)
-        position += dtype.itemsize * count
-
-    yield from walk("", (Nodetype.NAME, msgtype), message)
-
-
-def _aligned(position: int, size: int) -> int:
-    return -size * (-position // size)
+    return (dtype, shape), inside[0].offset

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.cdr import ENCAPSULATION, aligned
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
@@ -50,7 +51,6 @@ _SERVICES = (
 )
 _RETRY_NS = 10 * MILLISECOND
 _CLOUD_TYPE = "nav2_msgs/msg/ParticleCloud"
-_ENCAPSULATION = 4  # bytes before the first field of a CDR message
 _PLANAR = np.ix_([0, 1, 5], [0, 1, 5])  # x, y and yaw in a 6x6 covariance
 
 
@@ -228,5 +228,6 @@ def _cloud_data(empty: bytes, belief: ParticleFilter) -> bytes:
     particles[:, 6] = np.cos(belief.poses[:, 2] / 2.0)
     particles[:, 7] = belief.weights
     prefix = before_count + struct.pack("<I", count)
-    padding = bytes(-(len(prefix) - _ENCAPSULATION) % 8)
+    size = len(prefix) - len(ENCAPSULATION)
+    padding = bytes(aligned(size, 8) - size)
     return b"".join((prefix, padding, particles.astype("<f8", copy=False).data))

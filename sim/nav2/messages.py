@@ -3,10 +3,10 @@
 import struct
 from typing import Any
 
+from oracle_pipeline.bags.cdr import ENCAPSULATION
 from oracle_pipeline.bags.types import message_class
 from sim.middleware.geometry import quaternion_yaw, yaw_quaternion
 from sim.middleware.stamps import header
-from sim.nav2.cdr_words import CDR_LITTLE_ENDIAN
 
 TWIST = "geometry_msgs/msg/Twist"
 
@@ -27,7 +27,7 @@ def twist_message(linear: float, angular: float) -> Any:
 
 def twist_bytes(linear: float, angular: float) -> bytes:
     """Return the bytes of ``serialize(twist_message(...))``, in less time."""
-    return _pack_twist(CDR_LITTLE_ENDIAN, linear, 0.0, 0.0, 0.0, 0.0, angular)
+    return _pack_twist(ENCAPSULATION, linear, 0.0, 0.0, 0.0, 0.0, angular)
 
 
 def pose_message(x: float, y: float, yaw: float) -> Any:

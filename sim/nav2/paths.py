@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.bags.types import message_class
+from oracle_pipeline.bags.cdr import ENCAPSULATION, aligned
+from oracle_pipeline.bags.types import message_class, serialize
 from sim.jit import jit
 from sim.middleware.stamps import header
-from sim.nav2.cdr_words import CDR_LITTLE_ENDIAN, header_words, put
 from sim.nav2.messages import pose_stamped, pose_yaw
 
 PATH = "nav_msgs/msg/Path"
@@ -84,11 +84,11 @@ class PathBytes:
     """
 
     def __init__(self, time_ns: int, frame: str, poses: Poses) -> None:
-        header = header_words(time_ns, frame).tobytes()
+        header = _header_words(time_ns, frame).tobytes()
         self._poses = memoryview(path_bytes(time_ns, frame, poses))
-        self._before_count = CDR_LITTLE_ENDIAN + header
+        self._before_count = ENCAPSULATION + header
         self._before_first = header + bytes(4)  # doubles are aligned to 8 bytes
-        self._stride = 8 * -(-len(header) // 8) + _POSE_BYTES
+        self._stride = aligned(len(header), 8) + _POSE_BYTES
 
     def rest(self, count: int) -> bytes:
         """Return the bytes of ``path_bytes`` of the last ``count`` poses."""
@@ -104,10 +104,16 @@ _POSE_BYTES = 8 * 7
 
 @functools.cache
 def _header(frame: str) -> NDArray[np.uint32]:
-    return header_words(0, frame)
+    return _header_words(0, frame)
 
 
-_ENCAPSULATION = np.frombuffer(CDR_LITTLE_ENDIAN, np.uint32)
+def _header_words(time_ns: int, frame: str) -> NDArray[np.uint32]:
+    """Return a header as words of four bytes, as whatever comes next is aligned."""
+    data = serialize(header(time_ns, frame), "std_msgs/msg/Header")[len(ENCAPSULATION) :]
+    return np.frombuffer(data.ljust(aligned(len(data), 4), b"\0"), np.uint32)
+
+
+_ENCAPSULATION = np.frombuffer(ENCAPSULATION, np.uint32)
 
 
 @jit
@@ -119,7 +125,8 @@ def _path_words(
     words = np.zeros(begin + len(header) + 2 + len(poses) * (len(header) + 15), np.uint32)
     doubles = words[: len(words) // 2 * 2].view(np.float64)
     words[begin - 1] = _ENCAPSULATION[0]
-    at = put(words, begin, header)
+    at = begin + len(header)
+    words[begin:at] = header
     words[begin], words[begin + 1] = seconds, nanoseconds
     words[at] = len(poses)
     at += 1
