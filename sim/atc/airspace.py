@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.jit import jit
 from sim.atc.geodesy import Place, to_plane
-from sim.jit import jit
 from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.geometry import wrap_angle
 

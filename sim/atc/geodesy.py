@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from geographiclib.geodesic import Geodesic
 
-from sim.jit import jit
+from oracle_pipeline.bags.jit import jit
 
 
 class Place(NamedTuple):

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.jit import jit
+from oracle_pipeline.bags.jit import jit
 
 CLEAR, TRAFFIC, RESOLUTION = 0, 1, 2  # as in atc_msgs/msg/Advisory
 

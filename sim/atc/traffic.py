@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.jit import jit
 from sim.atc.airspace import AirSpace, Flight, Waypoint
 from sim.atc.geodesy import AIRPORT, ELEVATION_M, Place, between, destination, distance
 from sim.atc.tcas import Floats, is_threat
-from sim.jit import jit
 from sim.middleware.executor import SECOND
 
 FIXES = {

@@ -160,12 +160,11 @@ class CompileContext:
         except LookupError as error:
             raise self.scenario.error(key, str(error.args[0])) from error
 
-    def check_fits(self, value: Term, field: Field, key: Key) -> None:
-        """Refuse a value that cannot be stored in a field."""
-        if not fits(value.type, field.type):
-            raise self.scenario.error(
-                key, f"expected a {field.type} for {field.path}, found a {value.type}"
-            )
+    def check_fits(self, value: Term, kind: Type, key: Key, place: str = "") -> None:
+        """Refuse a value that cannot be stored as a type; ``place`` is the path of a field."""
+        if not _fits(value.type, kind):
+            where = f" for {place}" if place else ""
+            raise self.scenario.error(key, f"expected a {kind}{where}, found a {value.type}")
 
     def width(self, kind: Type) -> int:
         """Return how many elements a value may have."""
@@ -237,7 +236,7 @@ class Target:
         self.change(step, old, new)
 
 
-def fits(value: Type, target: Type) -> bool:
+def _fits(value: Type, target: Type) -> bool:
     """Return whether a value of one type can be stored as another."""
     match value, target:
         case (Number(), Number()) | (Boolean(), Boolean()) | (Text(), Text()):
@@ -245,7 +244,7 @@ def fits(value: Type, target: Type) -> bool:
         case Array(), Array():
             roomy = target.bound is None or (value.bound or math.inf) <= target.bound
             exact = value.fixed and value.bound == target.bound
-            return fits(value.element, target.element) and (exact if target.fixed else roomy)
+            return _fits(value.element, target.element) and (exact if target.fixed else roomy)
         case Number() | Boolean(), Array():
-            return fits(value, target.element)
+            return _fits(value, target.element)
     return isinstance(value, Message) and value == target

@@ -15,8 +15,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.jit import jit
 from sim.fuzzing.value_types import Array, Boolean, Message, Number, Text, Type
-from sim.jit import jit
 
 Overflow = Literal["wrap", "clip", "error"]
 Convert = Callable[[Any, Any], Any]  # computed value, old value -> stored value

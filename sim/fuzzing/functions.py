@@ -25,7 +25,6 @@ from sim.fuzzing.value_types import (
     Type,
     strip_padding,
 )
-from sim.jit import elementwise
 from sim.middleware.geometry import quaternion_yaw, wrap_angle
 
 EARTH_RADIUS_M = 6_371_008.8  # mean radius of the WGS 84 ellipsoid
@@ -128,17 +127,10 @@ def ray_circle(bearing: Reals, x: Reals, y: Reals, radius: Reals) -> Reals:
         Distance [m]; ``inf`` for a ray that misses, and for all that start inside.
     """
     away, aside = np.hypot(x, y), bearing - np.arctan2(y, x)
-    return _first_crossing(away * np.cos(aside), away * np.sin(aside), radius)
-
-
-@elementwise
-def _first_crossing(along: float, across: float, radius: float) -> float:
-    """Return where a line first meets a circle, given its centre along and beside the line."""
-    half_chord_squared = radius * radius - across * across
-    if not half_chord_squared >= 0.0:  # it passes by
-        return math.inf
-    distance = along - math.sqrt(half_chord_squared)
-    return distance if distance > 0.0 else math.inf  # behind the start, or around it
+    across = away * np.sin(aside)
+    half_chord_squared = radius * radius - across * across  # negative where a ray passes by
+    distance = away * np.cos(aside) - np.sqrt(np.maximum(half_chord_squared, 0.0))
+    return np.where((half_chord_squared >= 0.0) & (distance > 0.0), distance, np.inf)
 
 
 def ray_segment(bearing: Reals, x1: Reals, y1: Reals, x2: Reals, y2: Reals) -> Reals:

@@ -38,16 +38,13 @@ class Delay:
     """Forward later, by at most a minute."""
 
     seconds: Term
+    cost: int
 
     @classmethod
     def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
         """Check and compile."""
-        return cls(context.term(spec["seconds"], (*key, "seconds"), Number))
-
-    @property
-    def cost(self) -> int:
-        """Elements that it computes, at most."""
-        return self.seconds.cost
+        seconds = context.term(spec["seconds"], (*key, "seconds"), Number)
+        return cls(seconds, seconds.cost)
 
     def __call__(self, step: Step) -> None:
         """Apply the operator."""
@@ -61,19 +58,14 @@ class Duplicate:
 
     copies: Term
     spacing_s: Term
+    cost: int
 
     @classmethod
     def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
         """Check and compile."""
-        return cls(
-            context.term(spec["copies"], (*key, "copies"), Number),
-            context.term(spec.get("spacing_s", 0.0), (*key, "spacing_s"), Number),
-        )
-
-    @property
-    def cost(self) -> int:
-        """Elements that it computes, at most."""
-        return self.copies.cost + self.spacing_s.cost
+        copies = context.term(spec["copies"], (*key, "copies"), Number)
+        spacing_s = context.term(spec.get("spacing_s", 0.0), (*key, "spacing_s"), Number)
+        return cls(copies, spacing_s, copies.cost + spacing_s.cost)
 
     def __call__(self, step: Step) -> None:
         """Apply the operator."""
@@ -151,7 +143,7 @@ class Emit:
             place = (*key, "fields", path)
             field = context.field_at(path, place, output)
             value = context.term(text, place)
-            context.check_fits(value, field, place)
+            context.check_fits(value, field.type, place, field.path)
             fields.append((field, converter(field.type), value))
         cost = 1 + sum(value.cost + context.width(field.type) for field, _, value in fields)
         return cls(is_copy, topic, output, tuple(fields), cost)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Self
 
-from sim.fuzzing.compile_context import CompileContext, Spec, fits
+from sim.fuzzing.compile_context import CompileContext, Spec
 from sim.fuzzing.fields import Convert, converter
 from sim.fuzzing.scenario import Key
 from sim.fuzzing.step import Operator, Step, Term
@@ -20,22 +20,15 @@ class Store:
     into: str
     convert: Convert
     value: Term
+    cost: int
 
     @classmethod
     def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
         """Check and compile."""
         kind = context.state.fields[spec["into"]]
         value = context.term(spec["value"], (*key, "value"))
-        if not fits(value.type, kind):
-            raise context.scenario.error(
-                (*key, "value"), f"expected a {kind}, found a {value.type}"
-            )
-        return cls(spec["into"], converter(kind), value)
-
-    @property
-    def cost(self) -> int:
-        """Elements that it computes, at most."""
-        return self.value.cost
+        context.check_fits(value, kind, (*key, "value"))
+        return cls(spec["into"], converter(kind), value, value.cost)
 
     def __call__(self, step: Step) -> None:
         """Apply the operator."""
@@ -51,6 +44,7 @@ class _StoreRow:
     max_size: int
     key: Term
     columns: tuple[tuple[str, Convert, Term], ...]
+    cost: int
 
     @classmethod
     def compile(cls, spec: Spec, key: Key, context: CompileContext, table: Table) -> Self:
@@ -65,22 +59,11 @@ class _StoreRow:
         for name, text in row.items():
             kind = table.row.fields[name]
             value = context.term(text, (*place, name))
-            if not fits(value.type, kind):
-                raise context.scenario.error(
-                    (*place, name), f"expected a {kind}, found a {value.type}"
-                )
+            context.check_fits(value, kind, (*place, name))
             cells.append((name, converter(kind), value))
-        return cls(
-            spec["into"],
-            table.max_size,
-            context.term(spec["key"], (*key, "key"), Text),
-            tuple(cells),
-        )
-
-    @property
-    def cost(self) -> int:
-        """Elements that it computes, at most."""
-        return self.key.cost + sum(value.cost for _, _, value in self.columns)
+        name = context.term(spec["key"], (*key, "key"), Text)
+        cost = name.cost + sum(value.cost for _, _, value in cells)
+        return cls(spec["into"], table.max_size, name, tuple(cells), cost)
 
     def __call__(self, step: Step) -> None:
         """Apply the operator."""

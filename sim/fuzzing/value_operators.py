@@ -35,7 +35,7 @@ class Set:
         """Check and compile."""
         target, place = Target.of(spec, key, context), (*key, "value")
         value = context.term(spec["value"], place)
-        context.check_fits(value, target.field, place)
+        context.check_fits(value, target.field.type, place, target.field.path)
         return cls(target, value, value.cost + context.width(target.field.type))
 
     def __call__(self, step: Step) -> None:
@@ -223,6 +223,7 @@ class Mutate:
     mutator: FieldMutator
     count: int
     number: int
+    cost: int
 
     @classmethod
     def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
@@ -231,12 +232,9 @@ class Mutate:
         for place, path in enumerate(fields):
             context.field_at(path, (*key, "fields", place), context.root)
         mutator = FieldMutator.of(context.root, fields, spec.get("mutations", list(MUTATIONS)))
-        return cls(mutator, spec.get("count", 1), next(context.numbers))
-
-    @property
-    def cost(self) -> int:
-        """Elements that it computes, at most."""
-        return self.count * (LOOP_WORK + len(self.mutator.leaves))
+        count = spec.get("count", 1)
+        cost = count * (LOOP_WORK + len(mutator.leaves))
+        return cls(mutator, count, next(context.numbers), cost)
 
     def __call__(self, step: Step) -> None:
         """Apply the operator."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.jit import jit
+from oracle_pipeline.bags.jit import jit
 
 
 def wrap_angle(angle: float) -> float:

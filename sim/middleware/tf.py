@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
-from sim.jit import jit
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND

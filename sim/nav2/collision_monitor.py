@@ -12,8 +12,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.bags.template import STAMP, Template
-from sim.jit import jit
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.endpoints import Publisher

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.bags.types import message_class
-from sim.jit import jit
 from sim.middleware.geometry import Pose2D
 from sim.middleware.stamps import header, time_message
 from sim.nav2.footprint import FOOTPRINT

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.jit import jit
+from oracle_pipeline.bags.jit import jit
 from sim.nav2.costmap import FREE_SPACE, LETHAL, NO_INFORMATION, Costmap2D, Costs, Points
 
 OBSTACLE_RANGE = 2.5  # nothing is marked beyond [m]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.jit import jit
+from oracle_pipeline.bags.jit import jit
 from sim.middleware.geometry import Planar, Pose2D, composed, inverted, wrap_angle
 from sim.nav2.dwb_critics import CostGrid, Critics, map_plan, search
 from sim.nav2.dwb_sampling import Parameters

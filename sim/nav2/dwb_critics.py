@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.jit import jit, jit_unchecked
+from oracle_pipeline.bags.jit import jit, jit_unchecked
 from sim.nav2.dwb_sampling import (
     Parameters,
     ends,

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.jit import jit
+from oracle_pipeline.bags.jit import jit
 from sim.nav2.costmap import FREE_SPACE, INSCRIBED, LETHAL, NO_INFORMATION, Costs
 
 INFLATION_RADIUS = 0.55  # [m]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sim.jit import jit
+from oracle_pipeline.bags.jit import jit
 
 MAX_DISTANCE = 2.0  # to an obstacle; farther counts as this far [m]
 SIGMA_HIT = 0.2  # [m]

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.jit import jit, jit_unchecked
+from oracle_pipeline.bags.jit import jit, jit_unchecked
 from sim.nav2.costmap import INSCRIBED, NO_INFORMATION, Costmap2D, Costs, Points
 
 TOLERANCE = 0.5  # how far from an unreachable goal a path may end, along each axis [m]

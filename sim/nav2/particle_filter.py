@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.jit import jit
+from oracle_pipeline.bags.jit import jit
 from sim.middleware.geometry import Pose2D, wrap_angle
 
 MIN_PARTICLES = 500

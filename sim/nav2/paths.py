@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.cdr import ENCAPSULATION, aligned
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.bags.types import message_class, serialize
-from sim.jit import jit
 from sim.middleware.stamps import header
 from sim.nav2.messages import pose_stamped, pose_yaw
 

@@ -5,9 +5,9 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
-from sim.jit import jit
 from sim.middleware.executor import SECOND
 from sim.middleware.stamps import header
 from sim.nav2.costmap import FREE_SPACE, LETHAL, Costmap2D, Costs, Points

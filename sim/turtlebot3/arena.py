@@ -13,7 +13,7 @@ from typing import Any, Literal, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.jit import jit
+from oracle_pipeline.bags.jit import jit
 
 Points = NDArray[np.float64]
 ArenaKind = Literal["hexagon", "house", "random"]

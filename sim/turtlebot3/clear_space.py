@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.jit import jit
+from oracle_pipeline.bags.jit import jit
 from sim.turtlebot3.arena import Arena, Cylinder, Prism
 
 # The ball: its centre in the robot's frame [m], and its radius with 1 cm to spare [m]. Farthest

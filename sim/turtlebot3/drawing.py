@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.jit import jit
 from sim.campaigns import ArenaChoice, Campaign, Navigation, Options, RecipeError, Relation
-from sim.jit import jit
 from sim.middleware.geometry import Pose2D
 from sim.nav2.costmap import Costmap2D
 from sim.nav2.costmap_layers import static_costs

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.jit import jit
+from oracle_pipeline.bags.jit import jit
 
 _MIN = 1e-15  # mjMINVAL
 _SPARE = 1e-6  # margin of the test whether a ray comes near a piece [m]

@@ -14,7 +14,7 @@ import numpy as np
 from mujoco.rollout import Rollout
 from numpy.typing import NDArray
 
-from sim.jit import jit
+from oracle_pipeline.bags.jit import jit
 from sim.middleware.geometry import Pose2D, quaternion_yaw, wrapped
 from sim.turtlebot3.clear_space import ClearSpace
 from sim.turtlebot3.mjcf import STATIC, STEP_NS, WorldParameters, mjcf, pieces

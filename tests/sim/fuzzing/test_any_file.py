@@ -85,7 +85,7 @@ def test_the_partitions_of_the_code_location_load(folder):
     code = "from assets.partitions import RUNS; print(RUNS.has_partition_key('good|run000'))"
     done = subprocess.run(
         [sys.executable, "-c", code],
-        capture_output=True, text=True, check=False, timeout=120,
+        capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.stdout.strip() == "True", done.stderr
     assert "Left out" in done.stderr
