@@ -12,7 +12,7 @@ from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, bytes_
 from oracle_pipeline.bags.writer import BagWriter
 from sim.fuzzing.compilation import compile_document
 from sim.fuzzing.execution import execute
-from sim.fuzzing.node import ScenarioNode
+from sim.fuzzing.scenario_node import ScenarioNode
 from sim.middleware.domain import Domain
 from sim.recording import GraphRecorder, Recorder
 from sim.testbed import Recipe

@@ -61,6 +61,7 @@ FORBIDDEN = [
     ),
     ("assets/worker/run.py", "def late():\n    import dagster", "dagster"),
     ("resources/storage/plan.py", "from resources.store import RunStore", "resources.store"),
+    ("sim/nav2/amcl.py", "from sim.atc import tcas", "sim.atc.tcas"),
 ]
 
 

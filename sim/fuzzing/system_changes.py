@@ -14,7 +14,7 @@ from sim.fuzzing.execution import Execution
 from sim.fuzzing.ground_truth import GroundTruth
 from sim.fuzzing.scenario import SET_PARAMETERS
 from sim.middleware.domain import Domain
-from sim.middleware.parameters import NodeParameter
+from sim.middleware.node_parameters import NodeParameter
 
 OFFER_QOS = "offer_qos"  # the operation, in the ground truth
 _SILENT = ("passthrough", "shadow")  # controls, which compute changes without applying them

@@ -16,7 +16,7 @@ from oracle_pipeline.bags.qos_profiles import compatible, is_latched
 from sim.middleware.delays import Delays
 from sim.middleware.endpoints import Publisher, Sample, Subscription
 from sim.middleware.executor import Executor
-from sim.middleware.parameters import NodeParameter
+from sim.middleware.node_parameters import NodeParameter
 
 _Endpoint = TypeVar("_Endpoint")
 

@@ -15,7 +15,7 @@ from sim.middleware import qos as profiles
 from sim.middleware.domain import Domain, Service
 from sim.middleware.endpoints import Publisher, Subscription
 from sim.middleware.executor import Timer
-from sim.middleware.parameters import EVENT, NodeParameter
+from sim.middleware.node_parameters import EVENT, NodeParameter
 from sim.middleware.stamps import time_message
 
 _Log = message_class("rcl_interfaces/msg/Log")

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.execution import execute
-from sim.fuzzing.node import ScenarioNode
+from sim.fuzzing.scenario_node import ScenarioNode
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.middleware.geometry import Pose2D

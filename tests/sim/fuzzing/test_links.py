@@ -7,9 +7,9 @@ from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE
 from oracle_pipeline.bags.writer import BagWriter
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.execution import execute
-from sim.fuzzing.node import ScenarioNode
 from sim.fuzzing.offline import mutate_bag
 from sim.fuzzing.scenario import ScenarioError, parse_scenarios
+from sim.fuzzing.scenario_node import ScenarioNode
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND, Executor

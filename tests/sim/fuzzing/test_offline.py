@@ -17,9 +17,9 @@ from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, serialize
 from oracle_pipeline.bags.writer import BagWriter
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.execution import PASSTHROUGH, execute
-from sim.fuzzing.node import ScenarioNode
 from sim.fuzzing.offline import mutate_bag
 from sim.fuzzing.scenario import parse_scenarios
+from sim.fuzzing.scenario_node import ScenarioNode
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import Executor

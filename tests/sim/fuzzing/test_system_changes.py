@@ -9,14 +9,14 @@ from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE
 from oracle_pipeline.bags.writer import BagWriter
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.execution import execute
-from sim.fuzzing.node import ScenarioNode
 from sim.fuzzing.offline import mutate_bag
 from sim.fuzzing.scenario import ScenarioError, parse_scenarios
+from sim.fuzzing.scenario_node import ScenarioNode
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND, Executor
 from sim.middleware.node import Node
-from sim.middleware.parameters import EVENT
+from sim.middleware.node_parameters import EVENT
 from sim.modes import find_mode
 from sim.nav2.parameters import of_node
 from tests.sim.fuzzing.workbench import SCAN, data, scan

@@ -5,8 +5,8 @@ import pytest
 from oracle_pipeline.bags.manifest import Change
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC, GROUND_TRUTH_TYPE
 from sim.fuzzing.execution import execute
-from sim.fuzzing.node import ScenarioNode
 from sim.fuzzing.scenario import ScenarioError
+from sim.fuzzing.scenario_node import ScenarioNode
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.middleware.node import Node
