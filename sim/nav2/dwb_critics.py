@@ -36,7 +36,7 @@ class CostGrid(NamedTuple):
     origin_y: float
 
 
-class _GridShape(NamedTuple):
+class Cells(NamedTuple):
     """The cells of a costmap without the costs: an array takes longer to pass than to read."""
 
     columns: int
@@ -65,25 +65,25 @@ class Critics(NamedTuple):
 
 
 @jit
-def _cells_of(grid: CostGrid) -> _GridShape:
+def _cells_of(grid: CostGrid) -> Cells:
     rows, columns = grid.costs.shape
-    return _GridShape(columns, rows, grid.resolution, grid.origin_x, grid.origin_y)
+    return Cells(columns, rows, grid.resolution, grid.origin_x, grid.origin_y)
 
 
 @jit
-def _cell(cells: _GridShape, x: float, y: float) -> tuple[int, int]:
+def _cell(cells: Cells, x: float, y: float) -> tuple[int, int]:
     """Return column and row of a point, (-1, -1) outside."""
     return _cell_at(cells, *_in_cells(cells, x, y))
 
 
 @jit
-def _in_cells(cells: _GridShape, x: float, y: float) -> tuple[float, float]:
+def _in_cells(cells: Cells, x: float, y: float) -> tuple[float, float]:
     """Return how far a point is from the grid's corner [cells]."""
     return (x - cells.origin_x) / cells.resolution, (y - cells.origin_y) / cells.resolution
 
 
 @jit
-def _cell_at(cells: _GridShape, along: float, up: float) -> tuple[int, int]:
+def _cell_at(cells: Cells, along: float, up: float) -> tuple[int, int]:
     if 0.0 <= along < cells.columns and 0.0 <= up < cells.rows:
         return int(along), int(up)
     return -1, -1

@@ -19,7 +19,7 @@ FACTOR = 0.8  # factor of the costmap's cost, added to it
 OBSTACLE = 254.0  # cells of this cost are never entered
 STEP = 0.5  # of the descent [cells]
 
-Cells = NDArray[np.float64]
+CellValues = NDArray[np.float64]
 
 
 def _translation() -> Costs:
@@ -85,7 +85,7 @@ def cell_costs(grid: Costmap2D) -> Costs:
 
 
 def _nearest_reachable(
-    grid: Costmap2D, potential: Cells, goal_xy: tuple[float, float], tolerance: float
+    grid: Costmap2D, potential: CellValues, goal_xy: tuple[float, float], tolerance: float
 ) -> tuple[float, float] | None:
     """Return the reachable point nearest to a goal that is not reachable itself [m]."""
     reach = int(tolerance / grid.resolution)
@@ -115,7 +115,7 @@ def _approach(points: Points, goal: Points) -> Points:
 @jit_unchecked
 def wavefront(
     cells: Costs, start_column: int, start_row: int, goal_column: int, goal_row: int
-) -> Cells:
+) -> CellValues:
     """Return the cost of travel from the start to every cell.
 
     Cells are expanded in bands of cost; the wave stops with the band that settles the goal, so
@@ -183,7 +183,9 @@ def wavefront(
 
 
 @jit
-def _descend(potential: Cells, column: int, row: int, start_column: int, start_row: int) -> Points:
+def _descend(
+    potential: CellValues, column: int, row: int, start_column: int, start_row: int
+) -> Points:
     """Return the descent to the start, shape (n, 2): column, row; empty if stuck.
 
     A step follows the gradient between the four cells around. Beside a cell that was never
@@ -226,7 +228,7 @@ def _descend(potential: Cells, column: int, row: int, start_column: int, start_r
 
 
 @jit
-def _downhill(potential: Cells, column: int, row: int) -> tuple[float, float]:
+def _downhill(potential: CellValues, column: int, row: int) -> tuple[float, float]:
     """Return the unit vector down the potential at a cell, from the neighbours that are known."""
     here = potential[row, column]
     x = _difference(potential[row, column - 1], here, potential[row, column + 1])
