@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
@@ -24,9 +24,11 @@ from sim.campaigns import (
     Wiring,
 )
 from sim.commands.progress import RunProgress, pace
-from sim.experiments import Job
 from sim.fan_out import fan_out, process_pool
 from sim.modes import modes
+
+if TYPE_CHECKING:
+    from sim.experiments import Job
 
 Command = Callable[..., None]
 
@@ -179,7 +181,7 @@ def campaign(options: Mapping[str, Any]) -> Campaign:
     )
 
 
-def make_runs(make: Callable[[Job], Manifest], jobs: Sequence[Job], workers: int) -> None:
+def make_runs(make: "Callable[[Job], Manifest]", jobs: "Sequence[Job]", workers: int) -> None:
     """Make all runs, several at a time, and print a line on each; exit with 1 if any failed.
 
     Parameters

@@ -71,10 +71,8 @@ def test_random_noise_thesis_is_the_formula_of_the_thesis(values, level, number)
     compiled = builtin("random_noise_thesis")
     message = scan(number, values)
     heard = only(compiled, message, level=level)
-    draws = Draws(1, compiled.scenario.seed).uniform(
-        stamp(number), noise_number(compiled), len(values)
-    )
-    generator = Replayed(draws)
+    draws = Draws(1, compiled.scenario.seed).generator(stamp(number), noise_number(compiled))
+    generator = Replayed(draws.random(len(values)))
     with np.errstate(over="ignore"):
         expected = [
             np.float32(value + generator.uniform(-level * value, level * value))
