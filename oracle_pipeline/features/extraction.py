@@ -23,7 +23,7 @@ from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.datasets import KEYS, MISSING, WHERE, WINDOW_START, write_table
 from oracle_pipeline.features.adapters.thesis import MessageTable, ThesisPlugin
 from oracle_pipeline.features.engine.kept_messages import NO_GRAPH, Graphs, KeptMessages
-from oracle_pipeline.features.engine.kept_rows import Carried, Span
+from oracle_pipeline.features.engine.kept_rows import Carried
 from oracle_pipeline.features.engine.plugin import (
     Feature,
     FeaturePlugin,
@@ -33,6 +33,7 @@ from oracle_pipeline.features.engine.plugin import (
     Window,
 )
 from oracle_pipeline.features.engine.shared import system_of
+from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.engine.tables import FeatureTables, Measured, Table
 from oracle_pipeline.features.manager import FeatureManager
 from oracle_pipeline.graphs.intervals import compose, known_in

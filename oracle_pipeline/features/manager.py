@@ -26,8 +26,8 @@ from oracle_pipeline.features.air_traffic import adsb_reports, fused_tracks
 from oracle_pipeline.features.engine.plugin import (
     PROJECT,
     Feature,
+    FeatureHooks,
     FeaturePlugin,
-    Hooks,
     PluginError,
 )
 from oracle_pipeline.features.lidar import (
@@ -113,7 +113,7 @@ def build_manager(folder: Path | None = None) -> FeatureManager:
     """
     folder = folder or plugin_folder()
     registry = pluggy.PluginManager(PROJECT)
-    registry.add_hookspecs(Hooks)
+    registry.add_hookspecs(FeatureHooks)
     for module in _BUILT_IN:
         registry.register(module)
     modules, broken = register_others(registry, folder)

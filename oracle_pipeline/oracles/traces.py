@@ -13,16 +13,16 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.features.engine.kept_messages import NO_GRAPH, KeptMessages
-from oracle_pipeline.features.engine.kept_rows import Span
 from oracle_pipeline.features.engine.plugin import (
-    Arrivals,
     FeaturePlugin,
     Missing,
     Request,
     Series,
+    TopicArrivals,
     Window,
     sole_series,
 )
+from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.motion.velocity import keep as keep_command
 from oracle_pipeline.features.navigation.goals import GOAL_TOPICS, goals_so_far
 from oracle_pipeline.robots.robot import Robot
@@ -207,7 +207,7 @@ def signals(window: Window, clock: Floats) -> dict[str, Floats]:
     return found
 
 
-def quiet_topics(arrivals: Mapping[str, Arrivals], clock: Floats) -> Floats:
+def quiet_topics(arrivals: Mapping[str, TopicArrivals], clock: Floats) -> Floats:
     """Return the number of periodic topics that have been silent for too long, at each time."""
     quiet = np.zeros(len(clock))
     for arrived in arrivals.values():

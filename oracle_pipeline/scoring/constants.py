@@ -16,7 +16,7 @@ from rosbags.typesys.store import Typestore
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.merging import Messages, Rows
 from oracle_pipeline.bags.reader import BagReader
-from oracle_pipeline.features.engine.columns import Batch, Columns
+from oracle_pipeline.features.engine.columns import Columns, SerializedMessages
 from oracle_pipeline.features.engine.common_fields import frame_names
 from oracle_pipeline.robots.first_messages import TRANSFORM_TYPES
 from oracle_pipeline.robots.roles import is_static
@@ -86,7 +86,7 @@ class Samples:
                 store = self._bag.typestore(kind.msgtype)
             except BagError:
                 continue
-            batch = Batch(data, store, kind.msgtype, is_cdr=kind.encoding != "ros1")
+            batch = SerializedMessages(data, store, kind.msgtype, is_cdr=kind.encoding != "ros1")
             if not batch.whole.all():
                 continue
             if topic in self._static:

@@ -142,7 +142,7 @@ class Columns:
                 return _wide(np.stack(arrays.tolist())) if is_fixed and len(arrays) else arrays
 
 
-class Messages(Protocol):
+class ColumnSource(Protocol):
     """Messages of one topic that are available as columns."""
 
     data: Sequence[bytes]  # of each message
@@ -151,13 +151,13 @@ class Messages(Protocol):
         """Return the messages as columns."""
         ...
 
-    def some(self, rows: _Ints) -> "Messages":
+    def some(self, rows: _Ints) -> "ColumnSource":
         """Return some of the messages."""
         ...
 
 
-class Batch:
-    """Messages of one type, concatenated; implements `Messages` if all are whole.
+class SerializedMessages:
+    """Messages of one type, concatenated; implements `ColumnSource` if all are whole.
 
     Parameters
     ----------
@@ -199,11 +199,11 @@ class Batch:
         """Which messages are little-endian and exactly as long as their fields."""
         return self._walked[1]
 
-    def some(self, rows: _Ints) -> "Batch":
+    def some(self, rows: _Ints) -> "SerializedMessages":
         """Return some of the messages."""
         data = [self.data[row] for row in rows.tolist()]
         buffer = self._buffer
-        return Batch(data, buffer.store, self._kind[1], is_cdr=buffer.is_cdr)
+        return SerializedMessages(data, buffer.store, self._kind[1], is_cdr=buffer.is_cdr)
 
     def columns(self) -> Columns:
         """Return the messages as columns."""

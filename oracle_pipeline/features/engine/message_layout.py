@@ -6,6 +6,7 @@ codes (cells of a grid, pixels, identifiers).
 """
 
 import struct
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -15,12 +16,13 @@ from rosbags.typesys.store import Typestore
 
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.bags.merging import Messages
 from oracle_pipeline.bags.reader import BagReader
 
 _HEADER = "std_msgs/msg/Header"
 _ENCAPSULATION = 4  # bytes before a message in CDR; its alignment starts after them
 _LITTLE_ENDIAN = 1  # bit of the second byte
-SHORTEST_WITH_HEADER = 12  # bytes of a message that has a stamp
+_SHORTEST_WITH_HEADER = 12  # bytes of a message that has a stamp
 
 _SIZES = {
     "bool": 1, "byte": 1, "char": 1, "int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4,
@@ -82,7 +84,7 @@ class MessageLayout:
 
     def header_stamp_ns(self, data: bytes) -> int | None:
         """Return the stamp in the header of a message [ns]; None if it has no header."""
-        if not self.has_header or len(data) < SHORTEST_WITH_HEADER:
+        if not self.has_header or len(data) < _SHORTEST_WITH_HEADER:
             return None
         stamp = _BIG_STAMP if self.is_cdr and not data[1] & _LITTLE_ENDIAN else _LITTLE_STAMP
         sec, nanosec = stamp.unpack_from(
@@ -146,19 +148,36 @@ class MessageLayout:
         return _Repeated((repeated,), count if kind == Nodetype.ARRAY else None)
 
 
-def header_stamps_ns(data: bytes, offsets: NDArray[np.int64], *, is_cdr: bool) -> NDArray[np.int64]:
-    """Return the stamps in the headers of messages that have one [ns], shape (n,).
+class HeaderStamps:
+    """Reads the stamps in the headers of messages, many at once.
 
     Parameters
     ----------
-    data
-        Holds the messages.
-    offsets
-        Of the messages, each of which has `SHORTEST_WITH_HEADER` bytes or more.
-    is_cdr
-        Whether they are encoded in CDR; False for ROS 1's encoding.
+    layouts : sequence of MessageLayout
+        By number of the topic.
     """
-    return _stamps_ns(np.frombuffer(data, np.uint8), offsets, is_cdr)
+
+    NONE = int(np.iinfo(np.int64).min)  # of a message without a header
+
+    def __init__(self, layouts: Sequence[MessageLayout]) -> None:
+        self._with_header = {  # which topics have one, by encoding
+            is_cdr: np.array(
+                [each.has_header and each.is_cdr == is_cdr for each in layouts], dtype=np.bool_
+            )
+            for is_cdr in (False, True)
+        }
+
+    def of_batch(self, batch: Messages) -> NDArray[np.int64]:
+        """Return the stamp of each message of a batch [ns]."""
+        stamps_ns = np.full(len(batch.topics), self.NONE)
+        data = np.frombuffer(batch.data, np.uint8)
+        for is_cdr, with_header in self._with_header.items():
+            rows = np.flatnonzero(
+                with_header[batch.topics] & (batch.sizes >= _SHORTEST_WITH_HEADER)
+            )
+            if len(rows):
+                stamps_ns[rows] = _stamps_ns(data, batch.offsets[rows], is_cdr)
+        return stamps_ns
 
 
 @jit

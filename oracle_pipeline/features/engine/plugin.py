@@ -157,7 +157,7 @@ class RawRecord(NamedTuple):
         return self.layout.array(self.data)
 
 
-class Arrivals(NamedTuple):
+class TopicArrivals(NamedTuple):
     """All messages of one topic, unread; shape (n,) each, read-only."""
 
     msgtype: str  # sensor_msgs/msg/LaserScan
@@ -193,7 +193,7 @@ class Window:
     intervals : tuple of Interval
         The graphs that it was composed of, in order of time: of the intervals of the span that
         ended before it did, or else the newest one before them.
-    arrivals : mapping of str to Arrivals
+    arrivals : mapping of str to TopicArrivals
         The times of the messages in the span, for every topic of the bag, including silent ones.
     topics : mapping of str to (mapping of str to Series)
         By name of the request, then of the topic: the messages within the span. Topics that are
@@ -213,7 +213,7 @@ class Window:
     graph: RosGraph | None
     system: RosGraph | None
     intervals: tuple[Interval, ...]
-    arrivals: Mapping[str, Arrivals]
+    arrivals: Mapping[str, TopicArrivals]
     topics: Mapping[str, Mapping[str, Series]] = field(default_factory=dict)
     history: Mapping[str, Mapping[str, Series]] = field(default_factory=dict)
     prepared: Any = None
@@ -262,7 +262,7 @@ class FeaturePlugin:
         return f"{self.family}.{feature.name}"
 
 
-class Hooks:
+class FeatureHooks:
     """The hooks that plugins implement."""
 
     @hookspec

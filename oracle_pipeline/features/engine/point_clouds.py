@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import BagError
-from oracle_pipeline.features.engine.columns import Messages
+from oracle_pipeline.features.engine.columns import ColumnSource
 
 RAYS: Final = 360
 HEIGHT_M: Final = 0.05  # from the plane, or, further away:
@@ -37,9 +37,9 @@ class PlanarScan(NamedTuple):
 
 
 class CutClouds:
-    """Point clouds converted to scans; implements `Messages`."""
+    """Point clouds converted to scans; implements `ColumnSource`."""
 
-    def __init__(self, clouds: Messages, decode: Callable[[bytes], Any]) -> None:
+    def __init__(self, clouds: ColumnSource, decode: Callable[[bytes], Any]) -> None:
         self.data = clouds.data
         self._clouds = clouds
         self._decode = decode

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
-from oracle_pipeline.features.engine.between import between
 from oracle_pipeline.features.engine.plugin import Located, Missing, Series, Window
+from oracle_pipeline.features.engine.spans import between
 
 MAD_TO_DEVIATION = 1.4826  # of a normal distribution
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.features.engine.plugin import (
-    Arrivals,
     Feature,
     FeaturePlugin,
     Located,
     Missing,
+    TopicArrivals,
     Values,
     Window,
     hookimpl,
@@ -107,7 +107,7 @@ def _sensor(topic: str, window: Window) -> str:
 
 
 def _over_the_freshest(
-    held: Mapping[str, Floats], arrivals: Mapping[str, Arrivals]
+    held: Mapping[str, Floats], arrivals: Mapping[str, TopicArrivals]
 ) -> dict[str, Floats]:
     """Return the delays from stamp to recording minus those of the freshest sensor at that time.
 
@@ -141,13 +141,13 @@ def _fitted_line(x: Floats, y: Floats) -> Floats:
     return fitted
 
 
-def _held_s(arrivals: Arrivals) -> Floats:
+def _held_s(arrivals: TopicArrivals) -> Floats:
     """Return the delay from stamp to recording, up to a constant of the recording [s]."""
     stamps_ns = arrivals.header_stamps_ns
     return arrivals.times_s - stamps_ns.astype(np.float64) / 1e9
 
 
-def _period(arrivals: Arrivals) -> tuple[float, float]:
+def _period(arrivals: TopicArrivals) -> tuple[float, float]:
     """Return the median time between stamps [s], and its relative deviation; NaN if it is 0."""
     stamps_ns = arrivals.header_stamps_ns
     period_s, deviation_s = median_and_deviation((stamps_ns[1:] - stamps_ns[:-1]) / 1e9)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from rosbags.interfaces import Nodetype
 
 from oracle_pipeline.bags.types import message_class, serialize, typestore
-from oracle_pipeline.features.engine.columns import Batch, Columns
+from oracle_pipeline.features.engine.columns import Columns, SerializedMessages
 from tests.oracle_pipeline.features.rows import batch_of, columns_of
 
 #: Types with all that a field can be: nested, repeated, of fixed and of any length.
@@ -101,7 +101,7 @@ def test_a_message_is_complete_exactly_if_it_can_be_decoded(messages, data):
     if at < len(whole):
         changed[at] ^= data.draw(st.integers(1, 255))
     for odd in (cut, longer, bytes(changed)):
-        batch = Batch([whole, odd], typestore(), msgtype, is_cdr=True)
+        batch = SerializedMessages([whole, odd], typestore(), msgtype, is_cdr=True)
         assert batch.whole.tolist() == [True, decodes(odd, msgtype)]
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from oracle_pipeline.evaluation.kinds_comparison import UNION, compare_kinds
-from oracle_pipeline.features.engine.plugin import Arrivals
+from oracle_pipeline.features.engine.plugin import TopicArrivals
 from oracle_pipeline.oracles import human
 from oracle_pipeline.oracles.calibration import calibrated, union
 from oracle_pipeline.oracles.implicit import Implicit
@@ -204,7 +204,7 @@ def test_a_topic_is_quiet_only_after_it_stops():
     every = np.arange(0.0, 30.0, 0.1)
 
     def arrivals(times_s):
-        return Arrivals("a/msg/B", times_s, np.ones(len(times_s)), np.zeros(0))
+        return TopicArrivals("a/msg/B", times_s, np.ones(len(times_s)), np.zeros(0))
 
     goes_on, stops, rare = arrivals(every), arrivals(every[every < 10.0]), arrivals(every[:3])
     quiet = quiet_topics({"/a": goes_on, "/b": stops, "/c": rare}, clock)
