@@ -34,6 +34,7 @@ with explain_clashes():
         thesis_method,
     )
     from resources.budget import StorageBudget
+    from resources.bulk_commits import commit_in_bulk
     from resources.campaign import CampaignSettings
     from resources.fleet import Fleet
     from resources.inbox import Inbox
@@ -95,4 +96,5 @@ def build_defs(**overrides: object) -> dg.Definitions:
 
 
 escape_logs()
+commit_in_bulk()
 defs = build_defs()

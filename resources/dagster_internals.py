@@ -1,7 +1,7 @@
 """The private names of Dagster that we use; only modules of this name import from ``dagster._``.
 
 Some let one step handle many partitions, for which Dagster 1.13 has no public way. The others are
-types of the executor, the run launcher and the storage. Tests fail if a Dagster release changes
+types of the executor, the run launcher and the origin of a run. Tests fail if a Dagster release changes
 their behaviour.
 """
 
@@ -14,20 +14,20 @@ from dagster._core.execution.context.system import PlanOrchestrationContext
 from dagster._core.execution.plan.plan import ExecutionPlan
 from dagster._core.execution.retries import RetryMode
 from dagster._core.launcher import CheckRunHealthResult, WorkerStatus
-from dagster._core.storage.event_log import SqliteEventLogStorage
-from dagster._core.storage.sqlite import SQLITE_BUSY_TIMEOUT_SECONDS
-from dagster._core.storage.sqlite_storage import DagsterSqliteStorage
-from dagster._serdes import ConfigurableClassData
+from dagster._core.remote_origin import (
+    RegisteredCodeLocationOrigin,
+    RemoteJobOrigin,
+    RemoteRepositoryOrigin,
+)
 
 __all__ = [
-    "SQLITE_BUSY_TIMEOUT_SECONDS",
     "CheckRunHealthResult",
-    "ConfigurableClassData",
-    "DagsterSqliteStorage",
     "ExecutionPlan",
     "PlanOrchestrationContext",
+    "RegisteredCodeLocationOrigin",
+    "RemoteJobOrigin",
+    "RemoteRepositoryOrigin",
     "RetryMode",
-    "SqliteEventLogStorage",
     "WorkerStatus",
     "checked_materialization",
     "output_without_event",

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import dagster as dg
 
 from resources.dagster_internals import ExecutionPlan, PlanOrchestrationContext, RetryMode
+from resources.run_origin import record_origin
 from resources.run_processes import fail_lost_runs, hold
 
 
@@ -22,6 +23,7 @@ class _RegisteredProcessExecutor(dg.Executor):
         self, plan_context: PlanOrchestrationContext, execution_plan: ExecutionPlan
     ) -> Iterator[dg.DagsterEvent]:
         hold(plan_context.instance, plan_context.run_id)
+        record_origin(plan_context.instance, plan_context.run_id)
         fail_lost_runs(plan_context.instance)
         yield from self._steps.execute(plan_context, execution_plan)
 

@@ -1,5 +1,9 @@
-"""Real servers for tests, each its own processes on loopback, ended after the test."""
+"""Real servers for tests, each its own processes on loopback.
 
+They end after the test, and also if the test process is interrupted or killed.
+"""
+
+import ctypes
 import json
 import os
 import shutil
@@ -16,11 +20,22 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 PATIENCE_S = 60
+_LIBC, _PR_SET_PDEATHSIG = ctypes.CDLL(None), 1
+
+
+def end_with_parent(how: int = signal.SIGTERM) -> Callable[[], None]:
+    """Return a ``preexec_fn``: the kernel sends the signal when the parent has ended."""
+    return lambda: _LIBC.prctl(_PR_SET_PDEATHSIG, how)
+
+
+def environment(**more: str) -> dict[str, str]:
+    """Return the variables of a program that runs this checkout."""
+    return {**os.environ, "PYTHONPATH": str(ROOT), **more}
 
 
 @contextmanager
 def process(
-    command: Sequence[str], log: Path, environment: Mapping[str, str] | None = None
+    command: Sequence[str], log: Path, variables: Mapping[str, str] | None = None
 ) -> Iterator[subprocess.Popen[bytes]]:
     """Run a Python module in a separate process, without the `.env` of the repository."""
     with (
@@ -28,9 +43,10 @@ def process(
         subprocess.Popen(
             [sys.executable, "-m", *command],
             cwd=log.parent,
-            env={**os.environ, "PYTHONPATH": str(ROOT), **(environment or {})},
+            env=environment(**(variables or {})),
             stdout=output,
             stderr=subprocess.STDOUT,
+            preexec_fn=end_with_parent(),
         ) as started,
     ):
         try:
@@ -54,7 +70,7 @@ def wait_until(condition: Callable[[], object], log: Path, seconds: float = PATI
 
 @contextmanager
 def dask_cluster(
-    folder: Path, workers: int, environment: Mapping[str, str] | None = None
+    folder: Path, workers: int, variables: Mapping[str, str] | None = None
 ) -> Iterator[str]:
     """Start a scheduler and workers as deploy/ does; yield the scheduler's address."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -78,7 +94,7 @@ def dask_cluster(
             process(
                 ["distributed.cli.dask_worker", "--scheduler-file", str(file), *worker],
                 folder / "workers.log",
-                environment,
+                variables,
             )
         )
         yield str(json.loads(file.read_text(encoding="utf-8"))["address"])
@@ -139,6 +155,7 @@ def postgres_server() -> Iterator[dict[str, str]]:
             [programs / "postgres", "-D", data, "-h", "127.0.0.1", "-p", port, "-k", "",
              "-c", "fsync=off"],
             user=user, cwd="/", stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            preexec_fn=end_with_parent(signal.SIGINT),
         ) as server:  # fmt: skip
             try:
                 wait_until(lambda: answers(int(port)), data / "postmaster.pid")

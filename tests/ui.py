@@ -1,6 +1,5 @@
 """What `oracle-ui` starts: its web server alone, or all of it on the real pipeline."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -12,7 +11,7 @@ from pathlib import Path
 import dagster as dg
 
 from tests.instances import instance_of, make_home
-from tests.servers import ROOT, answers, free_port, process, wait_until
+from tests.servers import answers, end_with_parent, environment, free_port, process, wait_until
 
 LAUNCH = """mutation {
   launchRun(executionParams: {runConfigData: "{}", selector: {
@@ -80,12 +79,16 @@ def web_server(folder: Path, **variables: str) -> Iterator[WebServer]:
 def pipeline_ui(folder: Path, **variables: str) -> Iterator[WebServer]:
     """Start server, daemon and code server on the pipeline, in a separate folder."""
     home, log, port = _instance(folder, PIPELINE), folder / "log", free_port()
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "DAGSTER_HOME": str(home), **variables}
     command = [sys.executable, "-m", "assets.webserver", "-p", port]
     with (
         log.open("wb") as output,
         subprocess.Popen(
-            command, cwd=folder, env=environment, stdout=output, stderr=subprocess.STDOUT
+            command,
+            cwd=folder,
+            env=environment(DAGSTER_HOME=str(home), **variables),
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            preexec_fn=end_with_parent(),
         ) as server,
         instance_of(home) as instance,
     ):

@@ -33,6 +33,7 @@ from assets.webserver.dagster_internals import (
 from assets.webserver.report import report_route
 from oracle_pipeline.bags.terminal import version_option
 from oracle_pipeline.web_guard import VARIABLE, Guard, OriginError, parse_origins
+from resources.bulk_commits import commit_in_bulk
 from resources.run_processes import fail_lost_runs
 from resources.store import RunStore
 
@@ -74,6 +75,7 @@ def main(workspace: Path | None, host: str, port: int | None, webserver_only: bo
         signal.signal(number, signal.default_int_handler)
     workspace = (workspace or _default_workspace()).absolute()
     configure_loggers()
+    commit_in_bulk()
     with contextlib.suppress(KeyboardInterrupt), contextlib.ExitStack() as stack:
         stack.enter_context(contextlib.chdir(workspace.parent))  # `.env` and `data` are there
         os.environ["ORACLE_DAGSTER_HOME"] = str(workspace.parent / ".dagster_home")

@@ -18,6 +18,7 @@ import pytest
 
 from tests.assets.laboratory import ATTACKED, KEYS, ROOT, Laboratory, dagster_home
 from tests.instances import instance_of
+from tests.servers import end_with_parent
 
 pytestmark = pytest.mark.slow(10)
 
@@ -79,7 +80,7 @@ def test_the_ui_comes_up(checkout: Path) -> None:
     with (checkout / "log").open("w") as log:
         server = subprocess.Popen(
             command, cwd=checkout, env=environment(checkout), stdout=log, stderr=log,
-            start_new_session=True, preexec_fn=hear_control_c,
+            start_new_session=True, preexec_fn=hear_control_c_and_end_with_parent,
         )  # fmt: skip
         try:
             answer = wait_for(f"http://127.0.0.1:{port}/server_info", seconds=180)
@@ -95,9 +96,10 @@ def test_the_ui_comes_up(checkout: Path) -> None:
     assert left_of(server.pid, seconds=20) == []
 
 
-def hear_control_c() -> None:
+def hear_control_c_and_end_with_parent() -> None:
     """Restore the interrupt signal, which jobs in a shell's background ignore."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    end_with_parent()()
 
 
 def wait_for_daemon(home: Path, seconds: float) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from resources.run_processes import fail_lost_runs, hold
 from tests.instances import instance_of, make_home
-from tests.servers import ROOT, process, wait_until
+from tests.servers import ROOT, end_with_parent, process, wait_until
 
 pytestmark = pytest.mark.slow(6)
 
@@ -77,6 +77,7 @@ def materialize(home: Path, partition: str) -> "subprocess.Popen[bytes]":
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
+        preexec_fn=end_with_parent(),
     )
 
 
@@ -118,7 +119,11 @@ def test_the_next_command_marks_lost_runs_as_failed(
     lost, other = started_run(instance), started_run(instance)
     command = [sys.executable, "-c", HOLD, str(home), lost]
     with subprocess.Popen(
-        command, env=environment(home), stdout=subprocess.PIPE, start_new_session=True
+        command,
+        env=environment(home),
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+        preexec_fn=end_with_parent(),
     ) as holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == b"held\n"

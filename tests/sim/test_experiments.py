@@ -13,6 +13,7 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
 from sim.experiments import recipe_for, record_run
 from tests.recorded_runs import ONE_GOAL, copied
+from tests.servers import end_with_parent
 
 pytestmark = pytest.mark.slow
 
@@ -62,7 +63,7 @@ def test_a_run_that_was_killed_leaves_nothing_that_looks_finished_and_is_made_by
         "recipe = recipe_for('lidar_passthrough', 0, Campaign(goals_per_run=8))\n"
         f"record_run(recipe, RunDirectory(Path({str(tmp_path)!r}), 'lidar_passthrough', 0))",
     ]  # fmt: skip
-    process = subprocess.Popen(call)
+    process = subprocess.Popen(call, preexec_fn=end_with_parent())
     scratch = tmp_path / "runs" / "lidar_passthrough"
     while not list(scratch.glob(".run000.*/bag*/*")):
         assert process.poll() is None

@@ -14,6 +14,7 @@ import pytest
 from oracle_pipeline.bags.errors import OracleError
 from sim.fan_out import fan_out, process_pool
 from sim.worker_pool import LIMIT
+from tests.servers import end_with_parent
 
 pytestmark = pytest.mark.slow
 
@@ -155,7 +156,9 @@ def test_workers_end_with_their_caller(tmp_path):
         "if __name__ == '__main__': process_pool(1).submit(note_and_hang, "
         f"{str(tmp_path / 'worker')!r}).result()"
     )
-    caller = subprocess.Popen([sys.executable, "-c", code], cwd=Path(__file__).parents[2])
+    caller = subprocess.Popen(
+        [sys.executable, "-c", code], cwd=Path(__file__).parents[2], preexec_fn=end_with_parent()
+    )
     worker = tmp_path / "worker"
     while not (worker.exists() and worker.read_text()):
         assert caller.poll() is None

@@ -13,6 +13,7 @@ from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.datasets import feature_columns, field_metadata
 from oracle_pipeline.features import build_manager, extract
 from oracle_pipeline.opened_run import open_run
+from tests.servers import end_with_parent
 
 pytestmark = pytest.mark.slow
 
@@ -42,7 +43,7 @@ def recordings(tmp_path_factory):
     with a_free_domain() as domain:
         watch = subprocess.Popen(
             [BIN / "oracle", "watch", "--domain", str(domain), "--out", root / "live"],
-            stderr=subprocess.PIPE, text=True,
+            stderr=subprocess.PIPE, text=True, preexec_fn=end_with_parent(),
         )  # fmt: skip
         assert "Watching" in watch.stderr.readline()
         subprocess.run(

@@ -1,12 +1,14 @@
-"""Dagster's events in SQLite: other programs read at once what is stored."""
+"""Dagster's events in SQLite: commits do not wait, and other programs read them at once."""
 
 import subprocess
 import sys
 from pathlib import Path
 
 import dagster as dg
+import pytest
+import sqlalchemy as sa
 
-from resources.event_storage import OPEN_DATABASES
+from resources.bulk_commits import OPEN_DATABASES, commit_in_bulk
 from tests.instances import instance_of, make_home
 
 COUNT = """
@@ -22,8 +24,10 @@ def one():  # type: ignore[no-untyped-def]
     yield dg.AssetCheckResult(check_name="is_positive", passed=True)
 
 
-def count(instance: dg.DagsterInstance) -> int:
-    return len(instance.fetch_materializations(one.key, limit=100).records)
+@pytest.fixture(autouse=True)
+def bulk() -> None:
+    """As when the code location is loaded."""
+    commit_in_bulk()
 
 
 def test_another_program_reads_the_events_of_an_open_instance(tmp_path: Path) -> None:
@@ -36,21 +40,22 @@ def test_another_program_reads_the_events_of_an_open_instance(tmp_path: Path) ->
             capture_output=True, text=True, check=True,
             env={"DAGSTER_HOME": str(home), "PYTHONPATH": str(Path(__file__).parents[2])},
         )  # fmt: skip
-        assert int(counted.stdout) == count(instance) == 2
+        records = instance.fetch_materializations(one.key, limit=100).records
+        assert int(counted.stdout) == len(records) == 2
 
 
-def test_dagsters_own_storage_and_ours_read_each_others_events(tmp_path: Path) -> None:
-    home = make_home(tmp_path)
-    with instance_of(home) as ours:
-        assert dg.materialize([one], instance=ours).success
-    (home / "dagster.yaml").write_text("telemetry: {enabled: false}\n")
-    with dg.DagsterInstance.from_config(str(home)) as theirs:
-        assert type(theirs.event_log_storage) is not type(ours.event_log_storage)
-        assert dg.materialize([one], instance=theirs).success
-        assert count(theirs) == 2
-    with instance_of(make_home(home)) as ours:
-        assert count(ours) == 2
-        assert ours.get_runs_count() == 2
+def test_commits_and_closes_do_not_wait_for_the_disk(tmp_path: Path) -> None:
+    """The write-ahead log stays when a connection closes: nothing was copied to the database."""
+    engine = sa.create_engine(f"sqlite:///{tmp_path / 'events.db'}", poolclass=sa.NullPool)
+    with engine.begin() as first:
+        first.exec_driver_sql("PRAGMA journal_mode=WAL")
+        first.exec_driver_sql("CREATE TABLE event (id INTEGER)")
+    for number in range(3):
+        with engine.begin() as each:
+            assert each.exec_driver_sql("PRAGMA synchronous").scalar() == 1  # NORMAL
+            each.exec_driver_sql(f"INSERT INTO event VALUES ({number})")
+        if number:  # the second connection finds the log
+            assert (tmp_path / "events.db-wal").stat().st_size > 0
 
 
 def test_few_databases_stay_open_and_those_of_all_runs_are_readable(tmp_path: Path) -> None:
