@@ -38,7 +38,7 @@ from sim.testbeds import TESTBEDS
 
 if TYPE_CHECKING:
     from assets.worker.reproduction import Reproduction
-    from assets.worker.run import RunJob, RunReport
+    from assets.worker.run_job import RunJob, RunReport
     from sim.experiments import RebuildResult
     from sim.fan_out import JobOutcome
 
@@ -205,7 +205,8 @@ def _outcomes(
 
     Finished runs that must free storage for others are processed first.
     """
-    from assets.worker.run import RunJob, process_run
+    from assets.worker.run import process_run
+    from assets.worker.run_job import RunJob
 
     log = dg.get_dagster_logger("oracle")
     waiting = list(jobs)
@@ -290,7 +291,7 @@ def _job(
     *,
     refresh: bool,
 ) -> "RunJob":
-    from assets.worker.run import RunJob
+    from assets.worker.run_job import RunJob
 
     return RunJob(
         directory=store.run(key),

@@ -100,7 +100,7 @@ def _kinds(
     """
     import numpy as np
 
-    from assets.worker.traces import require_trace
+    from assets.worker.feature_tables import require_trace
     from oracle_pipeline.datasets import KEYS
     from oracle_pipeline.evaluation.kinds_comparison import CARD, compare_kinds
     from oracle_pipeline.oracles.calibration import KindScores

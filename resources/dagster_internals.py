@@ -1,8 +1,8 @@
 """The private names of Dagster that we use; only modules of this name import from ``dagster._``.
 
 Some let one step handle many partitions, for which Dagster 1.13 has no public way. The others are
-types of the executor, the run launcher and the origin of a run. Tests fail if a Dagster release changes
-their behaviour.
+types of the executor, the run launcher and the origin of a run. Tests fail if a Dagster release
+changes their behaviour.
 """
 
 import dagster as dg

@@ -1,4 +1,4 @@
-"""The feature tables of one run: extracted again only if run, code or tables have changed.
+"""The feature tables and signals of one run: extracted again only if something has changed.
 
 The same pass over the bag gives the signals for the kinds of oracle
 (``oracle_pipeline.oracles.traces``). A small JSON file beside the tables has hashes of their inputs
@@ -19,6 +19,8 @@ from oracle_pipeline.bags.remote import fetched, is_local
 from oracle_pipeline.bags.run_directory import RunDirectory
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from oracle_pipeline.bags.reader import BagReader
 
 
@@ -57,6 +59,13 @@ def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bo
 def require_tables(run: RunDirectory) -> bool:
     """Call `ensure_tables` for a complete run, without refresh."""
     return ensure_tables(run, run.manifest(), refresh=False)
+
+
+def require_trace(run: RunDirectory) -> "pd.DataFrame":
+    """Return the signals of a complete run; its bag is read if they are not stored."""
+    from oracle_pipeline.oracles.kept_traces import kept_trace
+
+    return kept_trace(run, layout.traces(run.root))
 
 
 def tables_are_current(run: RunDirectory, manifest: Manifest) -> bool:

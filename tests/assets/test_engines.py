@@ -109,9 +109,8 @@ def test_checks_read_what_is_in_the_bucket(shared: SharedLaboratory) -> None:
 def test_progress_reaches_the_log_of_the_run(shared: SharedLaboratory) -> None:
     run = shared.instance.get_runs()[-1]
     messages = [record.user_message for record in shared.instance.all_logs(run.run_id)]
-    assert any(
-        re.match(r"1 of 1 runs done in \d+ (s|min), none failed\.", said) for said in messages
-    )
+    done = re.compile(r"1 of 1 runs done in \d+ (s|min), none failed\.")
+    assert any(done.match(said) for said in messages)
 
 
 def test_complete_runs_are_only_verified(shared: SharedLaboratory) -> None:

@@ -11,7 +11,8 @@ from click.testing import CliRunner
 
 from assets.worker.feature_tables import topics_of_features
 from assets.worker.inspections import Inspection, inspect
-from assets.worker.run import OF_A_RUN, RunJob, RunReport, process_run
+from assets.worker.run import process_run
+from assets.worker.run_job import OF_A_RUN, RunJob, RunReport
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Kept
 from oracle_pipeline.bags.reader import BagReader, content_hash, read_ground_truth

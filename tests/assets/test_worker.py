@@ -5,10 +5,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from assets.worker.feature_tables import require_tables
+from assets.worker.feature_tables import require_tables, require_trace
 from assets.worker.inspections import Inspection, inspect
-from assets.worker.run import OF_A_RUN, RECORDED, TABLES, RunJob, process_run
-from assets.worker.traces import require_trace
+from assets.worker.run import process_run
+from assets.worker.run_job import OF_A_RUN, RECORDED, TABLES, RunJob
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.datasets import feature_dataset, read_table

@@ -53,7 +53,7 @@ def test_commits_and_closes_do_not_wait_for_the_disk(tmp_path: Path) -> None:
     for number in range(3):
         with engine.begin() as each:
             assert each.exec_driver_sql("PRAGMA synchronous").scalar() == 1  # NORMAL
-            each.exec_driver_sql(f"INSERT INTO event VALUES ({number})")
+            each.exec_driver_sql("INSERT INTO event VALUES (?)", (number,))
         if number:  # the second connection finds the log
             assert (tmp_path / "events.db-wal").stat().st_size > 0
 

@@ -16,7 +16,8 @@ from pathlib import Path
 
 import dagster as dg
 
-from assets.worker.run import OF_A_RUN, RunJob, process_run
+from assets.worker.run import process_run
+from assets.worker.run_job import OF_A_RUN, RunJob
 from oracle_pipeline.bags.run_directory import RunDirectory
 from sim.campaigns import Campaign
 from tools.bench.figures import Row

@@ -15,7 +15,8 @@ from pathlib import Path
 
 from distributed import LocalCluster
 
-from assets.worker.run import OF_A_RUN, RunJob, process_run
+from assets.worker.run import process_run
+from assets.worker.run_job import OF_A_RUN, RunJob
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.cluster import DaskExecutor
 from sim.campaigns import Campaign

@@ -8,7 +8,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from assets.worker.run import OF_A_RUN, RunJob, process_run
+from assets.worker.run import process_run
+from assets.worker.run_job import OF_A_RUN, RunJob
 from oracle_pipeline.bags.manifest import KEPT, Kept
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.storage.stock import take_stock

@@ -23,7 +23,8 @@ import dagster as dg
 import numpy as np
 
 from assets.aggregates import DATASET, TRUTH, WINDOWS
-from assets.worker.run import OF_A_RUN, RunJob, process_run
+from assets.worker.run import process_run
+from assets.worker.run_job import OF_A_RUN, RunJob
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.reader import content_hash as content_hash_of_bag
 from oracle_pipeline.bags.run_directory import RunDirectory

@@ -19,7 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from assets.worker.run import OF_A_RUN, RunJob, process_run
+from assets.worker.run import process_run
+from assets.worker.run_job import OF_A_RUN, RunJob
 from oracle_pipeline.bags.layout import TABLES
 from oracle_pipeline.bags.manifest import Kept
 from oracle_pipeline.bags.reader import content_hash

@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from assets.worker.run import OF_A_RUN, RunJob, process_run
+from assets.worker.run import process_run
+from assets.worker.run_job import OF_A_RUN, RunJob
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.datasets import feature_dataset, read_table, write_table

@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from assets.aggregates import DATASET
-from assets.worker.run import RECORDED, RunJob, process_run
-from assets.worker.run import TABLES as FEATURES
+from assets.worker.run import process_run
+from assets.worker.run_job import RECORDED, RunJob
+from assets.worker.run_job import TABLES as FEATURES
 from oracle_pipeline.bags.layout import TABLES
 from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.store import RunStore
