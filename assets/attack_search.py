@@ -5,6 +5,7 @@ its events. So ``--select '*'`` still means the whole campaign, and no search de
 """
 
 from collections.abc import Iterator
+from typing import Literal
 
 import dagster as dg
 from pydantic import Field
@@ -50,7 +51,7 @@ ATTACK_SEARCH = dg.AssetSpec(
     **declared("scenario", "searches/<scenario>/findings.json"),
     group_name="search",
     kinds={"optuna", "mujoco"},
-    code_version=analysis_code("assets.search.study"),
+    code_version=analysis_code("assets.search.search"),
     partitions_def=TEMPLATES,
     description="""The results of a search over the parameters of a scenario.
 
@@ -68,11 +69,11 @@ class SearchConfig(dg.Config):
         default="100",
         description="When to end: a number of trials in total, or a time such as 30m.",
     )
-    objective: str = Field(
+    objective: Literal["evade", "break", "boundary"] = Field(
         default="evade", description="Objective of the search: evade, break or boundary."
     )
-    sampler: str = Field(
-        default="tpe", description="How trials are proposed: tpe, nsga2, guided or random."
+    sampler: Literal["tpe", "nsga2", "random"] = Field(
+        default="tpe", description="How trials are proposed: tpe, nsga2 or random."
     )
     blocks: int = Field(default=3, ge=1, description="Number of blocks that trials alternate over.")
     goals: int = Field(default=1, ge=1, description="Goals of each run.")
@@ -98,24 +99,25 @@ def search_scenario(
 ) -> Iterator[dg.AssetMaterialization | dg.Output[None]]:
     """Search the scenario of the partition; an existing search is continued."""
     from assets.search.outcome import PICTURE, is_miss, save
-    from assets.search.study import Budget
-    from assets.search.whole_search import Plan, search_of
+    from assets.search.search import CONTROLS, Search, SearchSettings, TrialBudget, attacks
 
     name = context.partition_key
     store.require_writable()
     folder = layout.search(store.path, name)
     with clear_failures():
-        plan = Plan(
+        settings = SearchSettings(
             card=inbox.card_path,
             campaign=campaign.campaign(),
             **config.model_dump(exclude={"budget"}),
         )
-        study = search_of(name, folder, plan)
-        for finding in study.run(Budget.parse(config.budget), fleet.workers, context.log.warning):
+        controls, budget = folder / CONTROLS, TrialBudget.parse(config.budget)
+        space = attacks(name, controls, settings)
+        search = Search(folder, space, settings, controls, settings.campaign.seed)
+        for finding in search.run(budget, fleet.workers, context.log.warning):
             if is_miss(finding, config.far):
                 context.log.info(f"Miss: trial {finding.proposal.run}, effect {finding.effect:.2g}")
-        findings, corpus = study.findings, layout.search_corpus(store.path)
-        files = save(folder, findings, study.front, config.far, corpus)
+        findings, corpus = search.findings, layout.search_corpus(store.path)
+        files = save(folder, findings, search.front, config.far, corpus)
     yield dg.AssetMaterialization(
         ATTACK_SEARCH.key,
         partition=name,

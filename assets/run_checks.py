@@ -60,7 +60,7 @@ def checks_of_runs(
     context: dg.AssetCheckExecutionContext, store: RunStore, fleet: Fleet
 ) -> Iterator[dg.AssetCheckEvaluation | dg.Output[None]]:
     """Inspect the runs of the partitions."""
-    from assets.worker.inspections import Finding, Inspection, inspect
+    from assets.worker.inspections import InspectionResult, Inspection, inspect
 
     specs = {spec.name: spec for spec in CHECKS if spec.key in context.selected_asset_check_keys}
     runs = {key: store.run(key) for key in context.op_execution_context.partition_keys}
@@ -79,8 +79,10 @@ def checks_of_runs(
     }
     wrong: dict[str, list[str]] = {name: [] for name in specs}
     for outcome in fleet.outcomes(inspect, inspections, "inspections done"):
-        finding = outcome.result or Finding([outcome.error or "the inspection ended early"], {})
-        if finding.wrong:
+        found = outcome.result or InspectionResult(
+            [outcome.error or "the inspection ended early"], {}
+        )
+        if found.wrong:
             wrong[outcome.job.name] += [run.key for run in outcome.job.runs if run.key in runs]
         for run in outcome.job.runs:
             if run.key in runs:
@@ -89,9 +91,9 @@ def checks_of_runs(
                     spec,
                     run.key,
                     targets[spec.asset_key].get(run.key),
-                    passed=not finding.wrong,
-                    description="; ".join(finding.wrong[:SHOWN]) or None,
-                    metadata={**finding.figures, "wrong": len(finding.wrong)},
+                    passed=not found.wrong,
+                    description="; ".join(found.wrong[:SHOWN]) or None,
+                    metadata={**found.figures, "wrong": len(found.wrong)},
                 )
     for name, keys in wrong.items():
         result = f"failed for {', '.join(keys[:SHOWN])}" if keys else "passed"

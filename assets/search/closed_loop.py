@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -42,17 +42,6 @@ STEPS: Mapping[str, float] = {
 NEAREST_M = 0.02  # smallest clearance that counts as keeping clear
 LATEST = 2.0  # longest time that counts as in time, in units of the control's time
 MOVED_SCALES = 3.0  # difference from the control from which a feature counts as changed
-
-
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """The settings that all trials of a search share."""
-
-    campaign: Campaign
-    card: Path
-    far: float
-    screen: bool
-    conditions: Mapping[str, Any] = field(default_factory=dict)  # changes to the testbed
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,28 +109,92 @@ class Finding:
         return self.effect >= 1.0
 
 
-def run_control(setting: Setting, root: Path, block: int) -> Manifest:
-    """Record a block without an attack. The run is kept, because screening alters its bag."""
-    recipe = recipe_for(CONTROL, block, setting.campaign)
-    return record_run(recipe, RunDirectory(root, CONTROL, block))
+@dataclass(frozen=True, slots=True)
+class ClosedLoop:
+    """Runs the proposals of a search and judges them.
+
+    Attributes
+    ----------
+    campaign : Campaign
+        Settings of all runs.
+    card : Path
+        Reference card of the oracle.
+    far : float
+        False positive rate at which it decides.
+    screens : bool
+        Whether a proposal is not run if the oracle detects it in an altered recording.
+    controls : Path
+        Folder of the runs without an attack.
+    conditions : mapping
+        Changes to the testbed.
+    """
+
+    campaign: Campaign
+    card: Path
+    far: float
+    screens: bool
+    controls: Path
+    conditions: Mapping[str, Any] = field(default_factory=dict)
+
+    def run_control(self, block: int) -> Manifest:
+        """Record a block without an attack. It is kept, because screening alters its bag."""
+        recipe = recipe_for(CONTROL, block, self.campaign)
+        return record_run(recipe, RunDirectory(self.controls, CONTROL, block))
+
+    def run_trial(self, proposal: Proposal) -> Finding:
+        """Run one proposal in closed loop and judge it, unless screening detects it already."""
+        mode = Mode(Scenario("search", proposal.document, NO_FILE), self.conditions)
+        with tempfile.TemporaryDirectory(prefix="oracle-search-") as folder:
+            if self.screens and not mode.scenario.needs_simulator:
+                altered = Job(mode, Path(folder, "altered"), proposal.run, proposal.block)
+                manifest = derive_mutant(self._control(proposal).path.parent, False, altered)
+                judged = self._judge(altered.directory)
+                if judged.verdict.outcome == "anomalous":
+                    return self._finding(proposal, manifest, judged, ran=False)
+            run = Job(mode, Path(folder, "closed_loop"), proposal.run, proposal.block)
+            manifest = record_job(self.campaign, False, run)
+            return self._finding(proposal, manifest, self._judge(run.directory), ran=True)
+
+    def _control(self, proposal: Proposal) -> RunDirectory:
+        return RunDirectory(self.controls, CONTROL, proposal.block)
+
+    def _judge(self, directory: RunDirectory) -> "_JudgedRecording":
+        ours = _extracted(directory)
+        verdict = judge(directory.key, ours.tables, _card(self.card), self.far, ours.observation)
+        return _JudgedRecording(ours.tables, verdict)
+
+    def _finding(
+        self, proposal: Proposal, manifest: Manifest, judged: "_JudgedRecording", *, ran: bool
+    ) -> Finding:
+        verdict, control = judged.verdict, self._control(proposal)
+        if verdict.p_value is None or verdict.score is None:  # `judge` gives both, or raises
+            raise TypeError(verdict)
+        effects: dict[str, tuple[float, float]] = {}
+        held: dict[str, float] = {}
+        if ran:
+            unaltered = control.manifest()
+            effects, held = task_effects(manifest, unaltered), margins(manifest, unaltered)
+        largest = [change.largest for change in manifest.changes]
+        return Finding(
+            proposal,
+            screened_out=not ran,
+            effect=max((abs(steps) for _, steps in effects.values()), default=0.0),
+            effects={name: difference for name, (difference, _) in effects.items()},
+            margin=min(held.values(), default=None),
+            violated=tuple(name for name, margin in held.items() if margin < 0.0),
+            magnitude=None if None in largest else max(filter(None, largest), default=0.0),
+            score=verdict.score,
+            p_value=verdict.p_value,
+            families=tuple(each.family for each in verdict.families if each.unusual),
+            moved=_moved(judged.tables.run, control, self.card),
+        )
 
 
-def run_trial(setting: Setting, controls: Path, proposal: Proposal) -> Finding:
-    """Run one proposal in closed loop and judge it, unless screening detects it already."""
-    control = RunDirectory(controls, CONTROL, proposal.block)
-    mode = Mode(Scenario("search", proposal.document, NO_FILE), setting.conditions)
-    with tempfile.TemporaryDirectory(prefix="oracle-search-") as folder:
-        root = Path(folder)
-        if setting.screen and not mode.scenario.needs_simulator:
-            altered = Job(mode, root / "altered", proposal.run, proposal.block)
-            manifest = derive_mutant(control.path.parent, False, altered)
-            judged = _Judged.of(setting, altered.directory)
-            if judged.verdict.outcome == "anomalous":
-                return _finding(proposal, manifest, judged, control, setting, ran=False)
-        run = Job(mode, root / "closed_loop", proposal.run, proposal.block)
-        manifest = record_job(setting.campaign, False, run)
-        judged = _Judged.of(setting, run.directory)
-        return _finding(proposal, manifest, judged, control, setting, ran=True)
+class _JudgedRecording(NamedTuple):
+    """A recording's features, and the verdict on it."""
+
+    tables: FeatureTables
+    verdict: Verdict
 
 
 def task_effects(attacked: Manifest, control: Manifest) -> dict[str, tuple[float, float]]:
@@ -172,54 +225,6 @@ def margins(attacked: Manifest, control: Manifest) -> dict[str, float]:
     if theirs.get("clearance_m", 0.0) >= NEAREST_M and "clearance_m" in ours:
         found["keeps clear"] = (ours["clearance_m"] - NEAREST_M) / STEPS["clearance_m"]
     return found
-
-
-@dataclass(frozen=True, slots=True)
-class _Judged:
-    """A recording's features, and the verdict on it."""
-
-    tables: FeatureTables
-    verdict: Verdict
-
-    @classmethod
-    def of(cls, setting: Setting, directory: RunDirectory) -> "_Judged":
-        ours = _extracted(directory)
-        card = _card(setting.card)
-        verdict = judge(directory.key, ours.tables, card, setting.far, ours.observation)
-        return cls(ours.tables, verdict)
-
-
-def _finding(
-    proposal: Proposal,
-    manifest: Manifest,
-    judged: _Judged,
-    control: RunDirectory,
-    setting: Setting,
-    *,
-    ran: bool,
-) -> Finding:
-    verdict = judged.verdict
-    if verdict.p_value is None or verdict.score is None:  # `judge` gives both, or raises
-        raise TypeError(verdict)
-    effects: dict[str, tuple[float, float]] = {}
-    held: dict[str, float] = {}
-    if ran:
-        unaltered = control.manifest()
-        effects, held = task_effects(manifest, unaltered), margins(manifest, unaltered)
-    largest = [change.largest for change in manifest.changes]
-    return Finding(
-        proposal,
-        screened_out=not ran,
-        effect=max((abs(steps) for _, steps in effects.values()), default=0.0),
-        effects={name: difference for name, (difference, _) in effects.items()},
-        margin=min(held.values(), default=None),
-        violated=tuple(name for name, margin in held.items() if margin < 0.0),
-        magnitude=None if None in largest else max(filter(None, largest), default=0.0),
-        score=verdict.score,
-        p_value=verdict.p_value,
-        families=tuple(each.family for each in verdict.families if each.unusual),
-        moved=_moved(judged.tables.run, control, setting.card),
-    )
 
 
 def _moved(attacked: pd.DataFrame, control: RunDirectory, card: Path) -> tuple[str, ...]:

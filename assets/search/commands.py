@@ -1,6 +1,7 @@
 """``oracle-sim search``: search for attacks that the oracle misses."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,8 @@ from sim.commands.batch import (
 
 if TYPE_CHECKING:
     from assets.search.closed_loop import Finding
+    from assets.search.objectives import ObjectiveName
+    from assets.search.search import Sampler
 
 
 @click.command()
@@ -65,9 +68,8 @@ if TYPE_CHECKING:
 @rate_option("--far", "False positive rate at which the oracle decides.")
 @click.option(
     "--sampler", default="tpe", show_default=True,
-    type=click.Choice(["tpe", "nsga2", "guided", "random"]),
-    help="How trials are proposed: by Optuna's TPE or NSGA-II; guided: near trials that changed "
-    "rarely changed features; random: for comparison.",
+    type=click.Choice(["tpe", "nsga2", "random"]),
+    help="How trials are proposed: by Optuna's TPE or NSGA-II, or at random, for comparison.",
 )  # fmt: skip
 @click.option(
     "--screen/--no-screen", default=True, show_default=True,
@@ -93,13 +95,13 @@ def search(
     card: Path,
     topics: tuple[str, ...],
     operators: tuple[str, ...],
-    objective: str,
+    objective: "ObjectiveName",
     budget: str,
     ranges: tuple[str, ...],
     blocks: int,
     time_limit: float,
     far: float,
-    sampler: Any,
+    sampler: "Sampler",
     screen: bool,
     out: Path,
     corpus: Path | None,
@@ -129,34 +131,37 @@ def search(
     """  # noqa: D301 -- click reads the control character
     from assets.search.objectives import OBJECTIVES
     from assets.search.outcome import MISSES, PICTURE, save
-    from assets.search.samplers_compared import as_text, compared
-    from assets.search.study import Budget, Search
-    from assets.search.whole_search import CONTROLS, Plan, search_of, template_of
+    from assets.search.samplers_compared import compared
+    from assets.search.search import CONTROLS, Search, SearchSettings, TrialBudget, attacks
 
     if (template is None) == (not topics):
         raise click.UsageError("Give either a TEMPLATE or --topic to vary.")
     with short_errors():
-        limit, settings = Budget.parse(budget), campaign(options)
-        plan = Plan(
-            card, settings, objective=objective, sampler=sampler, blocks=blocks,
-            goals=settings.goals_per_run, time_limit=time_limit, far=far, screen=screen,
+        limit, of_runs, controls = TrialBudget.parse(budget), campaign(options), out / CONTROLS
+        settings = SearchSettings(
+            card, of_runs, objective=objective, sampler=sampler, blocks=blocks,
+            goals=of_runs.goals_per_run, time_limit=time_limit, far=far, screen=screen,
             allow_actuation=allow_actuation, ranges=ranges, topics=topics, operators=operators,
         )  # fmt: skip
-        varied = template_of(template, out, plan)
-        click.echo(f"Varying {varied.text}. Searching for {OBJECTIVES[objective].text}.")
+        space = attacks(template, controls, settings)
+        click.echo(f"Varying {space.text}. Searching for {OBJECTIVES[objective].text}.")
 
-        def searched(folder: Path, who: Any, seed: int) -> Search:
-            study = search_of(varied, folder, plan, controls=out / CONTROLS, seed=seed, sampler=who)
-            _follow(study.run(limit, workers, _print_failure), far)
-            return study
+        def searched(folder: Path, by: "Sampler", seed: int) -> Search:
+            search = Search(folder, space, replace(settings, sampler=by), controls, seed)
+            _follow(search.run(limit, workers, _print_failure), far)
+            return search
 
         if seeds is not None:
-            several = range(settings.seed, settings.seed + seeds)
-            click.echo(as_text(compared(searched, out, sampler, several, far)))
+            click.echo(
+                compared(
+                    lambda by, seed: searched(out / f"{by}_{seed}", by, seed).findings,
+                    sampler, range(of_runs.seed, of_runs.seed + seeds), far,
+                )
+            )  # fmt: skip
             return
-        study = searched(out, sampler, settings.seed)
-        findings = study.findings
-        files = save(out, findings, study.front, far, corpus or out / MISSES)
+        search = searched(out, sampler, of_runs.seed)
+        findings = search.findings
+        files = save(out, findings, search.front, far, corpus or out / MISSES)
     click.echo(
         f"{len(findings)} trials, {sum(f.screened_out for f in findings)} of them detected before "
         f"they were run. {len(files)} had an effect and were missed."

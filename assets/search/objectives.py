@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 from assets.search.closed_loop import Finding
 
 Direction: TypeAlias = Literal["minimize", "maximize"]
+ObjectiveName: TypeAlias = Literal["evade", "break", "boundary"]
 _BEYOND_ALL = 1e9
 _ENOUGH = 3.0  # larger effects do not count: a stuck robot is not informative
 
@@ -57,7 +58,7 @@ def _evasion(finding: Finding, far: float) -> tuple[float, float]:
     return effect, 0.0 if finding.p_value > far else _symlog(finding.score)
 
 
-OBJECTIVES: Mapping[str, Objective] = {
+OBJECTIVES: Mapping[ObjectiveName, Objective] = {
     "evade": Objective(
         ("maximize", "minimize"),
         _evasion,

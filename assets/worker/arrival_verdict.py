@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from oracle_pipeline.scoring.verdict import Verdict
 
 
-class Judged(NamedTuple):
+class ArrivalVerdict(NamedTuple):
     """The result for one recording."""
 
     kept: "KeptVerdict"
@@ -26,7 +26,7 @@ class Judged(NamedTuple):
 
 def judge_arrival(
     arrival: Arrival, root: Path, card_path: Path, far: float, limits: "Limits"
-) -> Judged:
+) -> ArrivalVerdict:
     """Judge a recording in a separate process, and store features and verdict below the root.
 
     A recording that cannot be read or judged gets a verdict with the reason.
@@ -46,7 +46,7 @@ def judge_arrival(
     now = datetime.now(UTC).isoformat(timespec="seconds")
     kept = KeptVerdict(arrival.key, arrival.fingerprint, verdict, far, str(card_path), now)
     kept.save(folder / layout.VERDICT)
-    return Judged(kept, tables)
+    return ArrivalVerdict(kept, tables)
 
 
 def _judged(

@@ -30,22 +30,22 @@ class Inspection:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
-    """The result of an inspection."""
+class InspectionResult:
+    """What an inspection has found."""
 
     wrong: list[str]  # empty: passed
     figures: dict[str, int | float]
 
 
-def inspect(inspection: Inspection) -> Finding:
+def inspect(inspection: Inspection) -> InspectionResult:
     """Perform an inspection; an unreadable file is a fault."""
     try:
         return _INSPECTIONS[inspection.name](*inspection.runs)
     except (OracleError, OSError) as error:
-        return Finding([str(error)], {})
+        return InspectionResult([str(error)], {})
 
 
-def bag_is_complete(run: RunDirectory) -> Finding:
+def bag_is_complete(run: RunDirectory) -> InspectionResult:
     """Read every message of the bag, whole or trimmed, and compare it with the manifest.
 
     A complete bag must have the content hash in the manifest. For a trimmed bag, the manifest has
@@ -54,7 +54,7 @@ def bag_is_complete(run: RunDirectory) -> Finding:
     manifest = run.manifest()
     kept = manifest.measured.kept
     if kept == "recipe":
-        return Finding([], {"messages": 0, "recorded": 0})
+        return InspectionResult([], {"messages": 0, "recorded": 0})
     recorded = {name: topic.messages for name, topic in manifest.topics.items()}
     with fetched(run.path) as folder:
         damaged = damaged_files(folder, manifest, BAG_FOLDER)
@@ -74,10 +74,10 @@ def bag_is_complete(run: RunDirectory) -> Finding:
         "recorded": sum(recorded.values()),
         "hashed_files": sum(file.startswith(BAG_FOLDER) for file in manifest.measured.files),
     }
-    return Finding(wrong, figures)
+    return InspectionResult(wrong, figures)
 
 
-def every_interval_has_a_graph(run: RunDirectory) -> Finding:
+def every_interval_has_a_graph(run: RunDirectory) -> InspectionResult:
     """Compare the graphs on disk with the intervals of the recording."""
     intervals = interval_count(run.manifest().recording_s)
     expected = {f"{number * INTERVAL_S:06d}" for number in range(intervals)}
@@ -86,29 +86,29 @@ def every_interval_has_a_graph(run: RunDirectory) -> Finding:
     wrong += [f"{start} s: no such interval" for start in sorted(recorded - expected)]
     damaged = damaged_files(run.path, run.manifest(), GRAPHS_FOLDER)
     wrong += [f"{file} has changed since it was recorded" for file in damaged]
-    return Finding(wrong, {"graphs": len(recorded), "intervals": intervals})
+    return InspectionResult(wrong, {"graphs": len(recorded), "intervals": intervals})
 
 
-def graphs_of_a_pair_are_equal(control: RunDirectory, attacked: RunDirectory) -> Finding:
+def graphs_of_a_pair_are_equal(control: RunDirectory, attacked: RunDirectory) -> InspectionResult:
     """Compare vertices, types and edges, not counts, in every interval that both runs have."""
     for run in (control, attacked):
         require_undamaged(run.path, run.manifest(), GRAPHS_FOLDER)
     ours, theirs = read_intervals(control.graphs), read_intervals(attacked.graphs)
     differences = graph_differences(ours, theirs)
-    return Finding(list(map(str, differences)), {"intervals": min(len(ours), len(theirs))})
+    return InspectionResult(list(map(str, differences)), {"intervals": min(len(ours), len(theirs))})
 
 
-def run_features_are_finite(run: RunDirectory) -> Finding:
+def run_features_are_finite(run: RunDirectory) -> InspectionResult:
     """Find features of the run that are neither finite nor have a reason."""
     return _finite(run.feature_table("run"))
 
 
-def window_features_are_finite(run: RunDirectory) -> Finding:
+def window_features_are_finite(run: RunDirectory) -> InspectionResult:
     """Find features of its windows that are neither finite nor have a reason."""
     return _finite(run.feature_table("window"))
 
 
-def _finite(place: Path) -> Finding:
+def _finite(place: Path) -> InspectionResult:
     df = read_table(place)
     columns = feature_columns(df)
     finite = np.isfinite(df[columns].to_numpy())
@@ -123,7 +123,7 @@ def _finite(place: Path) -> Finding:
         "finite": int(finite.sum()),
         "reasons": sum(map(len, reasons)),
     }
-    return Finding(wrong, figures)
+    return InspectionResult(wrong, figures)
 
 
 _INSPECTIONS = {

@@ -225,10 +225,14 @@ def expected_sizes(mode: str, stock: Stock) -> Sizes | None:
 
 
 def _working_room(new: Sequence[RunDirectory], expected: Mapping[str, Sizes], workers: int) -> int:
-    """Return the temporary storage that runs need while they are recorded."""
-    if not new:
-        return 0
-    return min(workers, len(new)) * max(size.full + size.trimmed for size in expected.values())
+    """Return the temporary storage that runs need while they are recorded.
+
+    Besides what is kept of a run, its complete bag is there until its features are extracted.
+    """
+    bags = sorted(
+        (expected[run.mode].full - expected[run.mode].recipe for run in new), reverse=True
+    )
+    return sum(bags[:workers])
 
 
 def _possible_sizes(run: RunDirectory, stock: Stock) -> tuple[Kept, Sizes]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from assets.attack_search import TEMPLATES, can_be_varied
-from assets.search.whole_search import CONTROLS
+from assets.search.search import CONTROLS
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.scoring.learning import learn
 from oracle_pipeline.scoring.reference import read_reference

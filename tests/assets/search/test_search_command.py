@@ -9,11 +9,12 @@ import pytest
 from click.testing import CliRunner, Result
 
 from assets.oracle_sim import main as oracle_sim
-from assets.search.attacks import Attack, ComposedTemplate, ScenarioTemplate
+from assets.search.attack_space import Attack
 from assets.search.closed_loop import Finding, Proposal
+from assets.search.composed_attacks import composed_attacks
 from assets.search.outcome import misses, save
-from assets.search.space import search_space
-from assets.search.whole_search import CONTROLS
+from assets.search.scenario_parameters import scenario_attacks
+from assets.search.search import CONTROLS
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.cli import main as oracle
 from oracle_pipeline.datasets import feature_dataset, window_dataset
@@ -99,7 +100,7 @@ def test_a_search_without_a_template_chooses_topics_and_operators(
     words = [
         "search", "--topic", "/odom", "--operator", "delay", "--operator", "drift",
         "--reference", str(card), "--budget", "2", "--far", "0.2", "--blocks", "1", "--goals", "1",
-        "--workers", "1", "--wiring", "absent", "--sampler", "guided", "--out", str(tmp_path),
+        "--workers", "1", "--wiring", "absent", "--sampler", "nsga2", "--out", str(tmp_path),
     ]  # fmt: skip
     result = CliRunner().invoke(oracle_sim, words)
     assert result.exit_code == 0, result.output
@@ -120,10 +121,10 @@ def miss(attack: Attack) -> Finding:
 def test_a_miss_is_a_mode_with_the_found_values_as_defaults(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    template = ScenarioTemplate(find_mode("range_drift"), search_space(find_mode("range_drift")))
+    space = scenario_attacks(find_mode("range_drift"))
     study = optuna.create_study()
     study.enqueue_trial({"rate": 0.0125})
-    finding = miss(template.suggest(study.ask()))
+    finding = miss(space.suggest(study.ask()))
     (path,) = save(tmp_path, [finding], [finding], 0.05, tmp_path / "corpus")
     (program,) = compile_file(path)
     assert program.scenario.id == "range_drift_miss007"
@@ -140,12 +141,12 @@ def test_a_found_attack_is_a_row_of_the_evaluation(
     recorded_run: RecordedRuns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     there = {"/cmd_vel": "geometry_msgs/msg/Twist"}
-    template = ComposedTemplate.of(["/cmd_vel"], ["scale"], there, allow_actuation=True)
+    space = composed_attacks(["/cmd_vel"], ["scale"], there, allow_actuation=True)
     study = optuna.create_study()
     field = {"field of geometry_msgs/msg/Twist": "linear.x"}
     change = {"scale change": 0.4, "scale change < 0": True}
     study.enqueue_trial({**field, **change, "onset_s": 1.0, "lasts_s": 20.0})
-    finding = miss(template.suggest(study.ask()))
+    finding = miss(space.suggest(study.ask()))
     (path,) = save(tmp_path, [finding], [finding], 0.05, tmp_path / "corpus")
     monkeypatch.setenv("ORACLE_SCENARIOS", str(path.parent))
     assert "composed_miss007" not in modes()  # it moves the robot

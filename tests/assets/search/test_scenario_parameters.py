@@ -4,9 +4,11 @@ import optuna
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
-from assets.search.space import Dimension, SearchError, search_space
-from assets.search.study import Budget
+from assets.search.attack_space import SearchError
+from assets.search.scenario_parameters import distributions, scenario_attacks
+from assets.search.search import TrialBudget
 from sim.fuzzing.scenario import parse_scenarios
 from sim.modes import find_mode
 from sim.testbed import Mode
@@ -37,24 +39,25 @@ def mode() -> Mode:
 
 
 def test_numbers_with_bounds_and_booleans_are_varied(mode: Mode) -> None:
-    space = {each.name: each for each in search_space(mode)}
-    assert set(space) == {"share", "count", "on"}
-    assert space["share"].is_logarithmic
-    assert not space["count"].is_logarithmic
+    assert distributions(mode) == {
+        "share": FloatDistribution(0.001, 1.0, log=True),
+        "count": IntDistribution(1, 9),
+        "on": CategoricalDistribution([False, True]),
+    }
 
 
 def test_a_range_narrows_a_parameter_or_frees_one(mode: Mode) -> None:
-    space = {each.name: each for each in search_space(mode, ["share=0.2:0.3", "free=-1:1"])}
-    assert (space["share"].low, space["share"].high) == (0.2, 0.3)
-    assert (space["free"].low, space["free"].high) == (-1.0, 1.0)
+    found = distributions(mode, ["share=0.2:0.3", "free=-1:1"])
+    assert found["share"] == FloatDistribution(0.2, 0.3)
+    assert found["free"] == FloatDistribution(-1.0, 1.0)
 
 
 def test_a_drawn_parameter_is_varied_only_with_a_range() -> None:
     fake = find_mode("fake_object")
     with pytest.raises(SearchError, match="no parameter to vary"):
-        search_space(fake)
-    (radius,) = search_space(fake, ["radius=0.05:0.3"])
-    assert radius == Dimension("radius", 0.05, 0.3, "float")
+        distributions(fake)
+    found = distributions(fake, ["radius=0.05:0.3"])
+    assert found == {"radius": FloatDistribution(0.05, 0.3)}
 
 
 @pytest.mark.parametrize(
@@ -70,22 +73,23 @@ def test_the_error_for_an_invalid_range_states_the_valid_one(
     mode: Mode, text: str, reason: str
 ) -> None:
     with pytest.raises(SearchError, match=reason):
-        search_space(mode, [text])
+        distributions(mode, [text])
 
 
 @given(st.integers(0, 2**31))
 def test_every_proposal_is_within_the_bounds(seed: int) -> None:
     (scenario,) = parse_scenarios(SCENARIO, "several.yaml")
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=seed))
-    trial = study.ask()
-    for dimension in search_space(Mode(scenario)):
-        assert dimension.low <= dimension.suggest(trial) <= dimension.high
+    values = scenario_attacks(Mode(scenario)).suggest(study.ask()).values
+    assert 0.001 <= values["share"] <= 1.0
+    assert 1 <= values["count"] <= 9
+    assert values["on"] in (False, True)
 
 
 def test_a_budget_is_trials_or_a_time() -> None:
-    assert Budget.parse("200").trials == 200
-    assert Budget.parse("30m").seconds == 1800.0
-    assert Budget.parse("2h").seconds == 7200.0
+    assert TrialBudget.parse("200").trials == 200
+    assert TrialBudget.parse("30m").seconds == 1800.0
+    assert TrialBudget.parse("2h").seconds == 7200.0
     for text in ("", "m", "0", "-5", "1.5h", "10s"):
         with pytest.raises(SearchError, match="expected a budget"):
-            Budget.parse(text)
+            TrialBudget.parse(text)

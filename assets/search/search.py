@@ -1,0 +1,242 @@
+"""The loop of a search: Optuna proposes, trials run, Optuna learns from the results.
+
+The study is stored on disk and can be resumed. Trials are proposed in rounds, one trial per worker.
+The sampler receives results in the order of trial numbers, so the same seed and number of workers
+give the same search.
+"""
+
+import dataclasses
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import optuna
+from optuna.samplers import BaseSampler, NSGAIISampler, RandomSampler, TPESampler
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
+
+from assets.search.attack_space import AttackSpace, SearchError
+from assets.search.closed_loop import ClosedLoop, Finding, Proposal
+from assets.search.composed_attacks import composed_attacks
+from assets.search.objectives import OBJECTIVES, ObjectiveName
+from assets.search.scenario_parameters import scenario_attacks
+from sim.campaigns import Campaign
+from sim.fan_out import fan_out, process_pool
+from sim.modes import find_mode
+
+CONTROLS = "controls"  # folder of the runs without an attack, in that of the search
+JOURNAL = "study.journal"
+Sampler: TypeAlias = Literal["tpe", "nsga2", "random"]
+_FINDING = "finding"
+_FIRST = 6  # random trials before TPE learns
+
+
+@dataclass(frozen=True, slots=True)
+class SearchSettings:
+    """The settings of a search.
+
+    Attributes
+    ----------
+    card : Path
+        Reference card of the oracle to search against.
+    campaign : Campaign
+        Settings of all runs, except goals and time limit.
+    blocks : int
+        Number of blocks that trials alternate over.
+    goals : int
+        Of each run.
+    time_limit : float
+        Simulated seconds that a goal may take, on average.
+    far : float
+        False positive rate at which the oracle decides.
+    """
+
+    card: Path
+    campaign: Campaign
+    objective: ObjectiveName = "evade"
+    sampler: Sampler = "tpe"
+    blocks: int = 3
+    goals: int = 1
+    time_limit: float = 120.0
+    far: float = 0.05
+    screen: bool = True
+    allow_actuation: bool = False
+    ranges: tuple[str, ...] = ()  # NAME=LOW:HIGH, of a scenario's parameters
+    topics: tuple[str, ...] = ()  # without a scenario
+    operators: tuple[str, ...] = ()
+
+    def closed_loop(self, controls: Path) -> ClosedLoop:
+        """Return what runs and judges the proposals."""
+        campaign = dataclasses.replace(
+            self.campaign, goals_per_run=self.goals, timeout_s=self.time_limit * self.goals
+        )
+        screens = self.screen and OBJECTIVES[self.objective].screens
+        return ClosedLoop(campaign, self.card, self.far, screens, controls)
+
+
+def attacks(scenario: str | None, controls: Path, settings: SearchSettings) -> AttackSpace:
+    """Return the attacks of a scenario, or of topics and operators if it is None.
+
+    Raises
+    ------
+    OracleError
+        A name does not exist, or nothing can be varied.
+    """
+    if scenario is not None:
+        mode = find_mode(scenario, allow_actuation=settings.allow_actuation)
+        return scenario_attacks(mode, settings.ranges)
+    control = settings.closed_loop(controls).run_control(0)
+    available = {topic: count.type for topic, count in control.topics.items()}
+    return composed_attacks(
+        settings.topics, settings.operators, available, allow_actuation=settings.allow_actuation
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class TrialBudget:
+    """The end of a search: after a number of trials, including earlier ones, or after a time."""
+
+    trials: float = float("inf")
+    seconds: float = float("inf")
+
+    @classmethod
+    def parse(cls, text: str) -> "TrialBudget":
+        """Read ``200`` trials, ``30m`` minutes or ``2h`` hours.
+
+        Raises
+        ------
+        SearchError
+            If the text is invalid.
+        """
+        number, unit = (text[:-1], text[-1]) if text.endswith(("m", "h")) else (text, "")
+        if not (number.isdecimal() and int(number) > 0):
+            raise SearchError(f"expected a budget such as 200, 30m or 2h, found {text!r}.")
+        if unit:
+            return cls(seconds=int(number) * {"m": 60.0, "h": 3600.0}[unit])
+        return cls(trials=int(number))
+
+
+class Search:
+    """A search for attacks.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the study is stored. An existing study is resumed.
+    space : AttackSpace
+    settings : SearchSettings
+    controls : Path
+        Folder of the runs without an attack; searches of the same settings may share it.
+    seed : int
+        Of the proposals.
+    """
+
+    def __init__(
+        self, folder: Path, space: AttackSpace, settings: SearchSettings, controls: Path, seed: int
+    ) -> None:
+        self._space, self._settings = space, settings
+        self._objective = OBJECTIVES[settings.objective]
+        self._loop = dataclasses.replace(
+            settings.closed_loop(controls), conditions=space.conditions
+        )
+        folder.mkdir(parents=True, exist_ok=True)
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        directions = self._objective.directions
+        try:
+            self._study = optuna.create_study(
+                storage=JournalStorage(JournalFileBackend(str(folder / JOURNAL))),
+                study_name=f"{space.id} {','.join(directions)}",
+                directions=directions,
+                load_if_exists=True,
+            )
+        except ValueError as error:
+            raise SearchError(
+                f"{folder} has another search: {error}; choose another folder."
+            ) from error
+        # After resuming, proposals must not repeat.
+        self._study.sampler = _sampler(settings.sampler, seed + len(self._study.trials))
+
+    @property
+    def findings(self) -> list[Finding]:
+        """The findings of all trials, in the order of their numbers."""
+        documents = [trial.user_attrs.get(_FINDING) for trial in self._study.trials]
+        return [_from_dict(document) for document in documents if document]
+
+    @property
+    def front(self) -> list[Finding]:
+        """The findings on the Pareto front."""
+        return [_from_dict(trial.user_attrs[_FINDING]) for trial in self._study.best_trials]
+
+    def run(
+        self, budget: TrialBudget, workers: int, failed: Callable[[str], None]
+    ) -> Iterator[Finding]:
+        """Yield the findings of trials as they arrive, until the budget is used up.
+
+        Parameters
+        ----------
+        budget : TrialBudget
+        workers : int
+            Number of parallel trials.
+        failed : callable
+            Called with the reason for each failed trial.
+        """
+        blocks, pool = range(self._settings.blocks), partial(process_pool, workers)
+        for outcome in fan_out(self._loop.run_control, blocks, pool):
+            if outcome.error is not None:
+                raise SearchError(f"Block {outcome.job} cannot be run: {outcome.error}")
+        executor = pool()
+        ends = time.monotonic() + budget.seconds
+        try:
+            while (left := budget.trials - len(self._study.trials)) > 0:
+                if time.monotonic() >= ends:
+                    return
+                yield from self._round(executor, int(min(workers, left)), failed)
+        finally:
+            executor.shutdown(cancel_futures=True)
+
+    def _round(
+        self, executor: Executor, size: int, failed: Callable[[str], None]
+    ) -> Iterator[Finding]:
+        """Yield the findings of some trials that run at the same time."""
+        trials = [self._study.ask() for _ in range(size)]
+        futures = [executor.submit(self._loop.run_trial, self._proposal(each)) for each in trials]
+        for trial, future in zip(trials, futures, strict=True):
+            if error := future.exception():
+                self._study.tell(trial, state=optuna.trial.TrialState.FAIL)
+                failed(f"trial {trial.number}: {error}")
+            else:
+                yield self._learn(trial, future.result())
+
+    def _proposal(self, trial: optuna.Trial) -> Proposal:
+        attack = self._space.suggest(trial)
+        block = trial.number % self._settings.blocks
+        return Proposal(trial.number, block, attack.document, attack.values)
+
+    def _learn(self, trial: optuna.Trial, finding: Finding) -> Finding:
+        far = self._settings.far
+        trial.set_user_attr(_FINDING, dataclasses.asdict(finding))
+        if self._objective.wants_detected:
+            trial.set_constraint("p-value over rate", finding.p_value - far)
+        self._study.tell(trial, self._objective.values(finding, far))
+        return finding
+
+
+def _sampler(name: Sampler, seed: int) -> BaseSampler:
+    match name:
+        case "tpe":
+            warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
+            return TPESampler(seed=seed, n_startup_trials=_FIRST, multivariate=True, group=True)
+        case "nsga2":
+            return NSGAIISampler(seed=seed, population_size=20)
+        case "random":
+            return RandomSampler(seed=seed)
+
+
+def _from_dict(document: Mapping[str, Any]) -> Finding:
+    lists = {name: tuple(document[name]) for name in ("families", "moved", "violated")}
+    return Finding(**{**document, **lists, "proposal": Proposal(**document["proposal"])})
