@@ -4,11 +4,11 @@ A graph is a ``networkx.DiGraph`` whose vertices are ROS nodes and topics (in a 
 and actions too). A vertex's identifier is ``kind:name``, since a ROS node and a topic may share a
 name. Attributes of a vertex: ``label`` (the plain name), ``kind``, ``type`` (message type, empty
 for ROS nodes). Edges run from node to topic (publish) and from topic to node (subscribe) and count
-``messages`` and ``bytes``. Equal graphs make equal bytes: no dates, everything sorted.
+``messages`` and ``bytes``. Equal graphs make equal bytes: no dates, everything sorted. A character
+that XML has no place for, such as a bell in a name, is written as its Python escape.
 """
 
 import functools
-import io
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -85,7 +85,7 @@ def _gexf_node(vertex: str, data: Mapping[str, str]) -> str:
     )
 
 
-def _gexf_edge(number: int | str, source: str, target: str, data: Mapping[str, int | str]) -> str:
+def _gexf_edge(number: int, source: str, target: str, data: Mapping[str, int]) -> str:
     return (
         f'      <edge id="{number}" source={_quoted(source)} target={_quoted(target)}>\n'
         "        <attvalues>\n"
@@ -102,13 +102,21 @@ def _listed(name: str, elements: Sequence[str]) -> str:
     return f"    <{name}>\n{''.join(elements)}    </{name}>\n"
 
 
+# The rest of what UTF-8 or XML 1.0 excludes; a file with such bytes was written by 0.2 or older.
+_FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+_FORBIDDEN_BYTES = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 _ENTITIES = {'"': "&quot;", "\r": "&#13;", "\n": "&#10;", "\t": "&#09;"}
 
 
 @functools.lru_cache(maxsize=4096)  # names repeat in every interval
 def _quoted(text: str) -> str:
     """Return an attribute's value, in quotes."""
-    return f'"{escape(text, _ENTITIES)}"'
+    return f'"{escape(_valid(text), _ENTITIES)}"'
+
+
+def _valid(text: str) -> str:
+    """Return text as XML can hold it."""
+    return _FORBIDDEN.sub(lambda match: ascii(match[0])[1:-1], text)
 
 
 def write_graphml(graph: RosGraph, path: Path) -> None:
@@ -143,7 +151,7 @@ def _graphml_edge(source: str, target: str, data: Mapping[str, int]) -> str:
 
 
 def _datum(key: str, value: str) -> str:
-    inside = f">{escape(value)}</data>" if value else " />"
+    inside = f">{escape(_valid(value))}</data>" if value else " />"
     return f'      <data key="{key}"{inside}\n'
 
 
@@ -155,12 +163,20 @@ def read_gexf(path: Path) -> RosGraph:
     GraphError
         If the file is missing, broken, has a document type, or lacks an attribute.
     """
-    return _read(path, _Gexf)
-
-
-def read_graphml(path: Path) -> RosGraph:
-    """Read a file that ``write_graphml`` wrote; raises as ``read_gexf`` does."""
-    return _read(path, _GraphMl)
+    elements = _Gexf()
+    try:
+        if path.stat().st_size > LARGEST_GRAPH:
+            raise GraphError(f"it is larger than {LARGEST_GRAPH} bytes (LARGEST_GRAPH)")
+        data = _FORBIDDEN_BYTES.sub(lambda match: b"\\x%02x" % match[0][0], path.read_bytes())
+        scanner = expat.ParserCreate()
+        scanner.StartDoctypeDeclHandler = _refuse_document_type
+        scanner.StartElementHandler, scanner.EndElementHandler = elements.enter, elements.leave
+        scanner.Parse(data, True)
+        return elements.graph()
+    except (OSError, expat.ExpatError, GraphError, KeyError, ValueError) as error:
+        raise GraphError(
+            f"Could not read the graph {path}: {error}. Restore the file, or record the run again."
+        ) from error
 
 
 def _refuse_document_type(*_declaration: object) -> None:
@@ -168,37 +184,11 @@ def _refuse_document_type(*_declaration: object) -> None:
     raise GraphError("it has a document type, which a graph file never needs")
 
 
-class _Xml:
-    """Visits a file's elements; refuses those that are nested too deeply."""
-
-    def __init__(self) -> None:
-        self._depth = 0
-
-    def enter(self, _name: str, _attributes: dict[str, str]) -> None:
-        self._depth += 1
-        if self._depth > DEEPEST_GRAPH:
-            raise GraphError(f"its elements are deeper than {DEEPEST_GRAPH} (DEEPEST_GRAPH)")
-
-    def leave(self, _name: str) -> None:
-        self._depth -= 1
-
-    def graph(self, data: bytes) -> RosGraph:
-        """Return the graph, after all elements were visited."""
-        raise NotImplementedError
-
-
-class _GraphMl(_Xml):
-    def graph(self, data: bytes) -> RosGraph:
-        import networkx as nx
-
-        return _checked(nx.read_graphml(io.BytesIO(data)))
-
-
-class _Gexf(_Xml):
+class _Gexf:
     """Builds the graph from the elements; a run has one every 10 s, so no tree is built first."""
 
     def __init__(self) -> None:
-        super().__init__()
+        self._depth = 0
         self._vertices: dict[str, dict[str, str]] = {}
         self._edges: list[tuple[str, str, dict[str, str]]] = []
         self._titles: dict[tuple[str, str], str] = {}  # of attributes, by owner and identifier
@@ -206,7 +196,10 @@ class _Gexf(_Xml):
         self._values: dict[str, str] = {}  # of the vertex or edge that was entered
 
     def enter(self, name: str, attributes: dict[str, str]) -> None:
-        super().enter(name, attributes)
+        """Visit an element."""
+        self._depth += 1
+        if self._depth > DEEPEST_GRAPH:
+            raise GraphError(f"its elements are deeper than {DEEPEST_GRAPH} (DEEPEST_GRAPH)")
         if name == "attributes":
             self._owner = attributes["class"]
         elif name == "attribute":
@@ -223,104 +216,33 @@ class _Gexf(_Xml):
         elif name == "graph" and attributes["defaultedgetype"] != "directed":
             raise GraphError("its edges are not directed")
 
-    def graph(self, data: bytes) -> RosGraph:  # noqa: ARG002 -- already visited
+    def leave(self, _name: str) -> None:
+        """Leave an element."""
+        self._depth -= 1
+
+    def graph(self) -> RosGraph:
+        """Return the graph, after all elements were visited."""
+        import networkx as nx
+
         if self._owner == "":
             raise GraphError("it is no GEXF file")
-        return _graph_of(self._vertices, self._edges)
+        graph: RosGraph = nx.DiGraph()
+        graph.add_nodes_from(
+            (vertex, _vertex(vertex, data)) for vertex, data in self._vertices.items()
+        )
+        for source, target, data in self._edges:
+            if source not in self._vertices or target not in self._vertices:
+                raise GraphError(f"the edge from {source!r} to {target!r} has no vertex")
+            graph.add_edge(source, target, **_traffic(data))
+        return graph
 
 
-_VALUES = ("label", "kind", "type")
-_ANY = "any"
-_PLAIN = r"[ !#-%'-;=-~]*"  # text in ASCII without entities
-_GEXF_NODE, _GEXF_EDGE = (
-    re.compile(re.escape(written).replace(f'"{_ANY}"', f'"({_PLAIN})"'))
-    for written in (
-        _gexf_node(_ANY, dict.fromkeys(_VALUES, _ANY)),
-        _gexf_edge(_ANY, _ANY, _ANY, dict.fromkeys(_EDGE_ATTRIBUTES, _ANY)),
-    )
-)
-_BEFORE, _BETWEEN, _AFTER = (
-    f"{_GEXF_BEGIN}    <nodes>\n", "    </nodes>\n    <edges>\n", f"    </edges>\n{_GEXF_END}",
-)  # fmt: skip
-
-
-def _as_written(data: bytes) -> RosGraph | None:
-    """Return the graph of a file that looks as ``write_gexf`` writes it; None for others.
-
-    Most do, and a parser of XML takes three times as long.
-    """
-    text = data.decode("ascii", "replace")
-    nodes, at = _matches(_GEXF_NODE, text, len(_BEFORE))
-    edges, end = _matches(_GEXF_EDGE, text, at + len(_BETWEEN))
-    if not (text.startswith(_BEFORE) and text.startswith(_BETWEEN, at) and text[end:] == _AFTER):
-        return None
-    return _graph_of(
-        {vertex: dict(zip(_VALUES, values, strict=True)) for vertex, *values in nodes},
-        [(a, b, {"messages": messages, "bytes": size}) for _, a, b, messages, size in edges],
-    )
-
-
-def _matches(pattern: re.Pattern[str], text: str, at: int) -> tuple[list[Sequence[str]], int]:
-    """Return the groups of all matches that follow one another, and where the last one ends."""
-    found: list[Sequence[str]] = []
-    while match := pattern.match(text, at):
-        found.append(match.groups())
-        at = match.end()
-    return found, at
-
-
-def _graph_of(
-    vertices: Mapping[str, Mapping[str, str]], edges: Sequence[tuple[str, str, Mapping[str, str]]]
-) -> RosGraph:
-    import networkx as nx
-
-    graph: RosGraph = nx.DiGraph()
-    graph.add_nodes_from((vertex, _vertex(vertex, values)) for vertex, values in vertices.items())
-    for source, target, _ in edges:
-        if source not in vertices or target not in vertices:
-            raise GraphError(f"the edge from {source!r} to {target!r} has no vertex")
-    graph.add_edges_from((source, target, _traffic(values)) for source, target, values in edges)
-    return graph
-
-
-def _read(path: Path, kind: type[_Xml]) -> RosGraph:
-    import networkx as nx
-
-    try:
-        if path.stat().st_size > LARGEST_GRAPH:
-            raise GraphError(f"it is larger than {LARGEST_GRAPH} bytes (LARGEST_GRAPH)")
-        data = path.read_bytes()
-        if kind is _Gexf and (graph := _as_written(data)) is not None:
-            return graph
-        scanner, elements = expat.ParserCreate(), kind()
-        scanner.StartDoctypeDeclHandler = _refuse_document_type
-        scanner.StartElementHandler, scanner.EndElementHandler = elements.enter, elements.leave
-        scanner.Parse(data, True)
-        return elements.graph(data)
-    except (OSError, expat.ExpatError, nx.NetworkXError, GraphError, KeyError, ValueError) as error:
-        raise GraphError(
-            f"Could not read the graph {path}: {error}. Restore the file, or record the run again."
-        ) from error
-
-
-def _checked(parsed: Any) -> RosGraph:
-    """Return the parsed graph with the attributes of our schema and no others."""
-    import networkx as nx
-
-    graph: RosGraph = nx.DiGraph()
-    for vertex, data in parsed.nodes(data=True):
-        graph.add_node(vertex, **_vertex(vertex, data))
-    for source, target, data in parsed.edges(data=True):
-        graph.add_edge(source, target, **_traffic(data))
-    return graph
-
-
-def _vertex(vertex: str, data: Mapping[str, Any]) -> dict[str, str]:
+def _vertex(vertex: str, data: Mapping[str, str]) -> dict[str, str]:
     kind, name = data["kind"], data["label"]
     if kind not in KINDS or vertex != vertex_id(kind, name):
         raise GraphError(f"vertex {vertex!r} is not 'kind:name' of a known kind")
-    return {"label": name, "kind": kind, "type": data.get("type") or ""}
+    return {"label": name, "kind": kind, "type": data.get("type", "")}
 
 
-def _traffic(data: Mapping[str, Any]) -> dict[str, int]:
+def _traffic(data: Mapping[str, str]) -> dict[str, int]:
     return {name: int(data[name]) for name in _EDGE_ATTRIBUTES}
