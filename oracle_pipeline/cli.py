@@ -19,7 +19,7 @@ import click
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import PlainTextGroup, version_option
 from oracle_pipeline.comparison.compare_command import compare
-from oracle_pipeline.live.watch_command import watch
+from oracle_pipeline.live.watch_command import recover, watch
 from oracle_pipeline.logs.import_command import import_logs
 from oracle_pipeline.options import format_option, output_option, plugins_option, rate_option
 from oracle_pipeline.replay.replay_command import replay
@@ -70,6 +70,7 @@ def main() -> None:
 main.add_command(import_logs)
 main.add_command(replay)
 main.add_command(watch)
+main.add_command(recover)
 main.add_command(compare)
 main.add_command(kinds)
 main.add_command(review)

@@ -73,7 +73,7 @@ def open_run(path: Path, *, strict: bool = False) -> OpenedRun:
     if (path / MANIFEST_FILE).is_file():
         return _open_run_directory(path)
     if (path / RECORDING_FILE).is_file():
-        intervals = read_intervals(path / GRAPHS_FOLDER)
+        intervals = read_intervals(path / GRAPHS_FOLDER, gaps=True)
         return OpenedRun(path, BagReader(path / BAG_FOLDER, strict=strict), None, intervals)
     if any((path / part).exists() for part in (BAG_FOLDER, GRAPHS_FOLDER)):
         raise RunDirectoryError(

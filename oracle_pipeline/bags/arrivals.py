@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 from oracle_pipeline.bags.mcap import MAGIC
 from oracle_pipeline.bags.parts import METADATA, is_recording
-from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
+from oracle_pipeline.bags.run_directory import MANIFEST_FILE, is_complete_recording
 from oracle_pipeline.bags.terminal import printable
 
-_LAST = (METADATA, MANIFEST_FILE, RECORDING_FILE)  # written after all other files
+_LAST = (METADATA, MANIFEST_FILE)  # written after all other files
 MOST_FILES = 10_000  # inspected of one recording; rosbag2 writes far fewer
 _PLAIN = re.compile(r"[A-Za-z0-9_](?:\.?[A-Za-z0-9_-])*")
 _OTHER = re.compile(r"[^A-Za-z0-9_]+")
@@ -97,7 +97,7 @@ def _inspected(path: Path) -> Arrival | None:
     if stat.S_ISDIR(status.st_mode):
         files = sorted(_files(path), key=os.fsencode)
         holds_one = any(file.name == MANIFEST_FILE or is_recording(file) for file in files)
-        finished = any((path / name).is_file() for name in _LAST)
+        finished = any((path / name).is_file() for name in _LAST) or is_complete_recording(path)
         finished = finished or all(_ends(file) for file in files if is_recording(file))
     else:
         files = [path]

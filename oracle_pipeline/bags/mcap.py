@@ -60,21 +60,23 @@ class _Stretch(NamedTuple):
     is_chunk: bool
 
 
-class _Fields:
+class Fields:
     """Reads the fields of a record one after the other."""
 
     def __init__(self, data: bytes, at: int = 0) -> None:
         self._data, self.at = data, at
 
     def number(self, size: int) -> int:
+        """Return an unsigned number of some bytes."""
         field = self._data[self.at : self.at + size]
         if len(field) < size:
             raise ValueError("a record is shorter than its fields")
         self.at += size
         return int.from_bytes(field, "little")
 
-    def block(self) -> bytes:
-        size = self.number(4)
+    def block(self, width: int = 4) -> bytes:
+        """Return bytes behind their length, which has a width in bytes."""
+        size = self.number(width)
         field = self._data[self.at : self.at + size]
         if len(field) < size:
             raise ValueError("a field is longer than its record")
@@ -82,6 +84,7 @@ class _Fields:
         return field
 
     def text(self) -> str:
+        """Return a string behind its length."""
         return self.block().decode("utf-8", "replace")
 
 
@@ -251,7 +254,7 @@ class McapPart:
     # Schemas, channels and the summary.
 
     def _describe(self, opcode: int, data: bytes) -> None:
-        fields = _Fields(data)
+        fields = Fields(data)
         try:
             number = fields.number(2)
             if opcode == MCAP_SCHEMA:
@@ -260,7 +263,7 @@ class McapPart:
             elif number not in self.channels:
                 schema = self._schemas.get(fields.number(2), _Schema("", "", ""))
                 topic, encoding = fields.text(), fields.text()
-                more = _metadata(_Fields(fields.block()))
+                more = _metadata(Fields(fields.block()))
                 channel = Channel(
                     topic, ros2_name(schema.name), encoding, schema.text, schema.format,
                     more.get("topic_type_hash", ""), more.get("offered_qos_profiles", ""),
@@ -290,7 +293,7 @@ class McapPart:
     def _read_summary(self, start: int) -> bool:
         """Read channels, counts and times from the summary; False if it lacks them."""
         data = self._read(start, min(self._size - start, LARGEST_CHUNK))
-        statistics: _Fields | None = None
+        statistics: Fields | None = None
         spans: list[tuple[int, int, int]] = []
         at = largest = 0
         try:
@@ -300,11 +303,11 @@ class McapPart:
                 if opcode in (MCAP_SCHEMA, MCAP_CHANNEL):
                     self._describe(opcode, record)
                 elif opcode == _CHUNK_INDEX:
-                    span, size = self._chunk_index(_Fields(record))
+                    span, size = self._chunk_index(Fields(record))
                     spans.append(span)
                     largest = max(largest, size)
                 elif opcode == _STATISTICS:
-                    statistics = _Fields(record)
+                    statistics = Fields(record)
                 at += _HEAD.size + length
             if statistics is None:
                 return False
@@ -315,7 +318,7 @@ class McapPart:
             return False
         return self.extent.counts.keys() <= self.channels.keys()
 
-    def _chunk_index(self, fields: _Fields) -> tuple[tuple[int, int, int], int]:
+    def _chunk_index(self, fields: Fields) -> tuple[tuple[int, int, int], int]:
         """Store the channels of a chunk; return its position, first and last stamp, and size.
 
         The size is that of the decompressed content.
@@ -331,7 +334,7 @@ class McapPart:
         return (chunk, first, last), fields.number(8)
 
 
-def _extent(fields: _Fields, spans: list[tuple[int, int, int]]) -> Extent:
+def _extent(fields: Fields, spans: list[tuple[int, int, int]]) -> Extent:
     messages = fields.number(8)
     fields.number(2)
     for _ in range(4):
@@ -349,7 +352,7 @@ def _extent(fields: _Fields, spans: list[tuple[int, int, int]]) -> Extent:
     return Extent(+counts, start_ns, end_ns, in_order) if messages else Extent()
 
 
-def _metadata(fields: _Fields) -> dict[str, str]:
+def _metadata(fields: Fields) -> dict[str, str]:
     found: dict[str, str] = {}
     while True:
         try:

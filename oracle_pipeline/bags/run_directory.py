@@ -9,6 +9,7 @@ dies.
 import contextlib
 import dataclasses
 import fcntl
+import json
 import os
 import re
 import shutil
@@ -31,6 +32,15 @@ RECORDING_FILE = "recording.json"  # of what `oracle watch` recorded, in place o
 
 _MODE = re.compile(r"[a-z0-9_]+")
 _RUN = re.compile(r"run(\d{3,})")
+
+
+def is_complete_recording(folder: Path) -> bool:
+    """Return whether a folder holds a recording of ``oracle watch`` that has ended."""
+    try:
+        summary = json.loads((folder / RECORDING_FILE).read_bytes())
+    except (OSError, ValueError):
+        return False
+    return isinstance(summary, dict) and bool(summary.get("complete", True))
 
 
 @dataclass(frozen=True, slots=True, order=True)

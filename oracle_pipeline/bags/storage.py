@@ -8,8 +8,9 @@ These two modules use what rosbags does not document, so its version is limited 
 
 import functools
 from collections import Counter
-from collections.abc import Sequence
-from typing import Any, Literal
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import yaml
 from rosbags.interfaces import (
@@ -28,7 +29,19 @@ from oracle_pipeline.bags.batch_storage import BatchMcapWriter, BatchSqlite3Writ
 # The newest that Humble's `ros2 bag` opens; 9 turns the QoS profiles into a list it cannot parse.
 METADATA_VERSION: Literal[8] = 8
 
+NO_HASH = f"RIHS01_{'0' * 64}"  # rosbags requires one; ROS compares it only where both have one
+
 _IDL = "=" * 80 + "\nIDL: "
+
+Information: TypeAlias = dict[str, Any]  # what ``metadata.yaml`` tells of a file or a bag
+
+
+class BagFile(NamedTuple):
+    """One file of a bag."""
+
+    name: str
+    first_ns: int  # stamp of its first message
+    last_ns: int
 
 
 class Writer(RosbagsWriter):
@@ -86,56 +99,102 @@ class Writer(RosbagsWriter):
 
     def close(self) -> None:
         """Write the records after the messages, and ``metadata.yaml``."""
+        write_metadata(self.path, [self.close_file()])
+
+    def close_file(self) -> Information:
+        """Write the records after the messages; return what ``metadata.yaml`` tells of the file."""
         storage = self._open_storage()
-        information = self._information(storage.path.name)
-        storage.close(METADATA_VERSION, _yaml(information).strip())
+        told = information(
+            self.storage_plugin.name.lower(),
+            BagFile(storage.path.name, self.min_timestamp, self.max_timestamp),
+            [(each, self._profiles[each.id], self.counts[each.id]) for each in self.connections],
+        )
+        storage.close(METADATA_VERSION, as_yaml(told).strip())
         self.storage = None
-        unfinished = self.metapath.with_suffix(".yaml.tmp")
-        unfinished.write_text(_yaml({"rosbag2_bagfile_information": information}), "utf8")
-        unfinished.replace(self.metapath)
+        return told
 
     def _open_storage(self) -> Any:
         if self.storage is None:
             raise WriterError("the bag is not open")
         return self.storage
 
-    def _information(self, file: str) -> dict[str, Any]:
-        start = {"nanoseconds_since_epoch": self.min_timestamp}
-        duration = {"nanoseconds": max(0, self.max_timestamp - self.min_timestamp)}
-        count = sum(self.counts.values())
-        return {
-            "version": METADATA_VERSION,
-            "storage_identifier": self.storage_plugin.name.lower(),
-            "relative_file_paths": [file],
-            "duration": duration,
-            "starting_time": start,
+
+def information(
+    storage: str, file: BagFile, topics: Iterable[tuple[Connection, str, int]]
+) -> Information:
+    """Return what ``metadata.yaml`` tells of one file: its topics, their QoS and counts."""
+    start = {"nanoseconds_since_epoch": file.first_ns}
+    duration = {"nanoseconds": max(0, file.last_ns - file.first_ns)}
+    listed: list[dict[str, Any]] = [
+        {
+            "topic_metadata": {
+                "name": connection.topic,
+                "type": connection.msgtype,
+                "serialization_format": "cdr",
+                "offered_qos_profiles": profiles,
+                "type_description_hash": connection.digest,
+            },
             "message_count": count,
-            "topics_with_message_count": [
-                {
-                    "topic_metadata": {
-                        "name": connection.topic,
-                        "type": connection.msgtype,
-                        "serialization_format": "cdr",
-                        "offered_qos_profiles": self._profiles[connection.id],
-                        "type_description_hash": connection.digest,
-                    },
-                    "message_count": self.counts[connection.id],
-                }
-                for connection in self.connections
-            ],
-            "compression_format": "",
-            "compression_mode": "",
-            "files": [
-                {
-                    "path": file,
-                    "starting_time": dict(start),
-                    "duration": dict(duration),
-                    "message_count": count,
-                }
-            ],
-            "custom_data": None,
-            "ros_distro": "rosbags",
         }
+        for connection, profiles, count in topics
+    ]
+    total = sum(topic["message_count"] for topic in listed)
+    return {
+        "version": METADATA_VERSION,
+        "storage_identifier": storage,
+        "relative_file_paths": [file.name],
+        "duration": duration,
+        "starting_time": start,
+        "message_count": total,
+        "topics_with_message_count": listed,
+        "compression_format": "",
+        "compression_mode": "",
+        "files": [
+            {
+                "path": file.name,
+                "starting_time": dict(start),
+                "duration": dict(duration),
+                "message_count": total,
+            }
+        ],
+        "custom_data": None,
+        "ros_distro": "rosbags",
+    }
+
+
+def write_metadata(folder: Path, files: Sequence[Information]) -> None:
+    """Write the ``metadata.yaml`` of a bag, from what it tells of each of its files."""
+    path = folder / "metadata.yaml"
+    unfinished = path.with_suffix(".yaml.tmp")
+    unfinished.write_text(as_yaml({"rosbag2_bagfile_information": _joined(files)}), "utf8")
+    unfinished.replace(path)
+
+
+def _joined(files: Sequence[Information]) -> Information:
+    if len(files) == 1:
+        return files[0]
+    topics: dict[str, Any] = {}
+    for topic in (topic for file in files for topic in file["topics_with_message_count"]):
+        name = topic["topic_metadata"]["name"]
+        known = topics.setdefault(name, {**topic, "message_count": 0})
+        known["message_count"] += topic["message_count"]
+    rows = [row for file in files for row in file["files"]]
+    spans = [
+        (row["starting_time"]["nanoseconds_since_epoch"], row["duration"]["nanoseconds"])
+        for row in rows
+        if row["message_count"]
+    ]
+    start_ns = min((start for start, _ in spans), default=0)
+    end_ns = max((start + duration for start, duration in spans), default=0)
+    return {
+        **files[0],
+        "relative_file_paths": [row["path"] for row in rows],
+        "duration": {"nanoseconds": end_ns - start_ns},
+        "starting_time": {"nanoseconds_since_epoch": start_ns},
+        "message_count": sum(row["message_count"] for row in rows),
+        "topics_with_message_count": list(topics.values()),
+        "files": rows,
+    }
 
 
 @functools.lru_cache(maxsize=1024)
@@ -143,6 +202,6 @@ def _dumped(profiles: tuple[Qos, ...]) -> str:
     return str(dump_qos_v8(list(profiles)))
 
 
-def _yaml(value: dict[str, Any]) -> str:
+def as_yaml(value: dict[str, Any]) -> str:
     """Return a document as rosbags prints it, in a third of the time that ruamel takes."""
     return str(yaml.dump(value, Dumper=yaml.CSafeDumper, default_flow_style=False))

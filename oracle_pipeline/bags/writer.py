@@ -20,12 +20,11 @@ from oracle_pipeline.bags import types
 from oracle_pipeline.bags.content import ContentHash
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.manifest import TopicCount
-from oracle_pipeline.bags.storage import METADATA_VERSION, Writer
+from oracle_pipeline.bags.storage import METADATA_VERSION, NO_HASH, Writer
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.bags.types import TypeDefinition
 
 _BATCH_BYTES = 2**18  # of messages are packed, stored and hashed at a time
-_NO_HASH = f"RIHS01_{'0' * 64}"  # rosbags requires one; ROS compares it only where both have one
 
 
 class _Topic:
@@ -230,7 +229,7 @@ class BagWriter:
                 name,
                 topic.msgtype,
                 topic.definition.text,
-                topic.definition.type_hash or _NO_HASH,
+                topic.definition.type_hash or NO_HASH,
                 topic.qos,
             )
             topic.channel = topic.connection.id

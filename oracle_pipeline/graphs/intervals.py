@@ -19,10 +19,11 @@ class Interval(NamedTuple):
     graph: RosGraph
 
 
-def read_intervals(folder: Path) -> tuple[Interval, ...]:
+def read_intervals(folder: Path, *, gaps: bool = False) -> tuple[Interval, ...]:
     """Read ``000000.gexf``, ``000010.gexf``, ... in order of time.
 
-    A recording shorter than half an interval has none.
+    A recording shorter than half an interval has none. In a live recording there may be gaps:
+    intervals without a message.
 
     Raises
     ------
@@ -32,12 +33,12 @@ def read_intervals(folder: Path) -> tuple[Interval, ...]:
     files = folder.glob("*.gexf")
     starts = {int(match[1]): path for path in files if (match := _FILE.fullmatch(path.name))}
     expected = [number * INTERVAL_S for number in range(len(starts))]
-    if not folder.is_dir() or sorted(starts) != expected:
+    if not folder.is_dir() or (sorted(starts) != expected and not gaps):
         raise GraphError(
             f"{folder} should have one graph every {INTERVAL_S} s from 000000.gexf on, but has "
             f"those at {sorted(starts)} s; record the run again."
         )
-    return tuple(Interval(float(start), read_gexf(starts[start])) for start in expected)
+    return tuple(Interval(float(start), read_gexf(starts[start])) for start in sorted(starts))
 
 
 def interval_count(recording_s: float) -> int:

@@ -16,7 +16,7 @@ from rosbags.interfaces import QosTime as _QosTime
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.dds_names import dds_topic
 from oracle_pipeline.bags.errors import DdsError
-from oracle_pipeline.bags.qos_profiles import compatible
+from oracle_pipeline.bags.qos_profiles import compatible, is_latched
 
 QUEUE_BYTES = 64 * 2**20  # of waiting messages, at most
 _DEPTH = 500  # history depth of a DDS reader
@@ -30,6 +30,7 @@ class Received(NamedTuple):
     topic: str
     sent_ns: int  # by the sender's clock [ns since 1970]
     wall_ns: int  # when it arrived, by our clock [ns since 1970]
+    steady_ns: int  # the same by our steady clock, which nobody sets [ns]
     writer: int  # handle of the endpoint that sent it
     data: bytes  # CDR with its encapsulation header
 
@@ -91,6 +92,10 @@ class Intake:
         self._names[reader] = topic
         self._ready.add(reader)
 
+    def is_latched(self, topic: str) -> bool:
+        """Return whether the subscription is latched, so it also gets earlier messages."""
+        return is_latched(self._requested[topic])
+
     def accepts(self, topic: str, offered: Qos) -> bool:
         """Return whether a publisher's QoS is compatible with our subscription's."""
         return compatible(offered, self._requested[topic])
@@ -124,9 +129,9 @@ class Intake:
         try:
             while not self._ended:
                 ready = self._ready.wait(_WAIT_S)
-                wall_ns = time.time_ns()
+                now = time.time_ns(), time.monotonic_ns()
                 came = [
-                    Received(self._names[reader], raw.source_ns, wall_ns, raw.writer, raw.data)
+                    Received(self._names[reader], raw.source_ns, *now, raw.writer, raw.data)
                     for reader in ready
                     for raw in reader.take()
                 ]

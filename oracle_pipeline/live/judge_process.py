@@ -25,14 +25,16 @@ from oracle_pipeline.features import build_manager
 from oracle_pipeline.features.engine.kept_rows import Carried
 from oracle_pipeline.features.extraction import extract_window
 from oracle_pipeline.graphs.intervals import Interval
-from oracle_pipeline.live.recent import RecentMessages
+from oracle_pipeline.live.recent import CONTEXT_S, RecentMessages
 from oracle_pipeline.live.window_scorer import WindowScorer, WindowVerdict
 from oracle_pipeline.scoring.card import ReferenceCard
 
 _END_S = 5.0  # until the process is killed
 _INBOX = 10_000  # requests that may wait
 _MOST_WAITING = 2  # newer windows that make the process leave one out
+_MOST_BEHIND = 12  # windows without an answer, at which it gets no more messages
 _SECOND_NS = 1_000_000_000
+_CONTEXT_NS = round(CONTEXT_S * _SECOND_NS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +57,16 @@ class _Window:
 
 
 @dataclass(frozen=True, slots=True)
+class _Begin:
+    """Another segment begins: what came before does not belong to it."""
+
+
+@dataclass(frozen=True, slots=True)
 class _LeftOut:
     """A window that was not judged, because newer ones were waiting."""
 
 
-_Request: TypeAlias = _Topic | _Window | Interval | list[RawMessage] | None
+_Request: TypeAlias = _Topic | _Begin | _Window | Interval | list[RawMessage] | None
 _Answer: TypeAlias = WindowVerdict | _LeftOut | OracleError
 
 
@@ -88,6 +95,8 @@ class JudgeProcess:
         WindowScorer(known, alarms_per_h)  # a bad card raises an error at once
         self.contract = known.contract
         self.left_out = 0
+        self._behind = 0  # windows without an answer
+        self._blind_until_ns = 0  # windows that begin earlier lack messages
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
@@ -101,9 +110,14 @@ class JudgeProcess:
         """Announce a topic, or more publishers of it."""
         self._send(_Topic(name, msgtype, qos))
 
+    def begin(self) -> None:
+        """Begin another segment; its messages start anew."""
+        self._send(_Begin())
+
     def add(self, messages: list[RawMessage]) -> None:
-        """Send messages, in order of time."""
-        self._send(messages)
+        """Send messages, in order of time; none while the process is far behind."""
+        if self._behind < _MOST_BEHIND:
+            self._send(messages)
 
     def add_graph(self, interval: Interval) -> None:
         """Send the graph of an interval."""
@@ -111,7 +125,13 @@ class JudgeProcess:
 
     def end_window(self, recording_ns: int, start_ns: int, end_ns: int) -> None:
         """Request the verdict on a window that has ended."""
-        self._send(_Window(recording_ns, start_ns, end_ns, time.monotonic()))
+        if self._behind >= _MOST_BEHIND:
+            self._blind_until_ns = end_ns + _CONTEXT_NS
+        if start_ns < self._blind_until_ns:  # it lacks messages
+            self.left_out += 1
+        else:
+            self._behind += 1
+            self._send(_Window(recording_ns, start_ns, end_ns, time.monotonic()))
 
     def verdicts(self, timeout_s: float = 0.0) -> Iterator[WindowVerdict]:
         """Yield the verdicts that have arrived, or arrive within some time.
@@ -124,6 +144,7 @@ class JudgeProcess:
         try:
             while self._pipe.poll(timeout_s):
                 answer: _Answer = self._pipe.recv()
+                self._behind -= 1
                 if isinstance(answer, OracleError):
                     raise answer
                 if isinstance(answer, _LeftOut):
@@ -189,6 +210,10 @@ def _work(pipe: Connection, card: Path, alarms_per_h: float | None, plugins: Pat
                 recent.add(request)
             elif isinstance(request, Interval):
                 recent.add_graph(request)
+            elif isinstance(request, _Begin):
+                recent.clear()
+                scorer.restart()
+                carried = {}
             elif isinstance(request, _Topic):
                 recent.add_topic(request.name, request.msgtype, request.qos)
             elif inbox.windows > _MOST_WAITING:

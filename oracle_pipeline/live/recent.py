@@ -57,6 +57,13 @@ class RecentMessages:
         if messages:
             self._drop(messages[-1].stamp_ns - self._context_ns)
 
+    def clear(self) -> None:
+        """Drop all messages and graphs; topics stay."""
+        self._messages.clear()
+        self._graphs.clear()
+        for kept in self._latched.values():
+            kept.clear()
+
     def add_graph(self, interval: Interval) -> None:
         """Add the graph of an interval; its start is in seconds of the recording."""
         self._graphs.append(interval)

@@ -1,48 +1,63 @@
-"""The recording of a watch: a bag, the graph of each interval, and a summary.
+"""A recording of a watch: a bag, the graph of each interval, and a summary.
 
-``<folder>/<name>`` holds ``bag/``, ``graphs/`` and, written last, ``recording.json``. Until it is
-complete, it has a hidden name, so no program that reads the folder sees a part of it.
+``<folder>/<name>`` holds ``bag/``, ``graphs/`` and ``recording.json`` from its first second on, and
+is readable up to the last flush. The summary says whether it is complete; while it is written, the
+folder is locked. `recover` finishes one whose watch was killed.
 """
 
+import contextlib
 import json
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from rosbags.interfaces import Qos
 
 from oracle_pipeline.bags.graph_files import RosGraph, write_gexf, write_graphml
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, RECORDING_FILE
-from oracle_pipeline.bags.writer import BagWriter
+from oracle_pipeline.bags.scratch import lock
 from oracle_pipeline.graphs.intervals import compose
+from oracle_pipeline.live.split_bag import Split, SplitBag
+
+_SHARE, _LEAST, _MOST = 0.02, 2 * 2**20, 2**30  # of the disk that stays free [B]
 
 
 class Recorder:
-    """Writes one recording; a context manager.
+    """Writes one recording.
 
     Parameters
     ----------
-    folder : Path
-        Folder of recordings; it is created if it does not exist.
-    name : str
-        Name of this recording.
+    path : Path
+        Folder of the recording; it must not exist.
+    facts : dict
+        As for the attribute.
+    split : Split
+        When a file of the bag ends.
+    keep_free_bytes : int, optional
+        Free space at which the recording ends; by default 2 % of the disk, at most 1 GiB.
 
     Attributes
     ----------
-    path : Path
-        Folder of the complete recording.
     facts : dict
         Content of ``recording.json``, beside the counts of messages.
+    ended : str
+        Why nothing is recorded any more; empty while it goes on.
     """
 
-    def __init__(self, folder: Path, name: str) -> None:
-        self.path = folder / name
-        self.facts: dict[str, Any] = {}
-        self._unfinished = folder / f".{name}.unfinished"
+    def __init__(
+        self, path: Path, facts: dict[str, Any], split: Split, keep_free_bytes: int | None = None
+    ) -> None:
+        (path / GRAPHS_FOLDER).mkdir(parents=True)
+        self.path = path
+        self.facts = facts
+        self.ended = ""
+        self._lock = contextlib.ExitStack()
+        self._lock.enter_context(lock(path, wait=False))
+        self._floor = _floor(path) if keep_free_bytes is None else keep_free_bytes
         self._run: RosGraph = compose(())
-        (self._unfinished / GRAPHS_FOLDER).mkdir(parents=True)
-        self._bag = BagWriter(self._unfinished / BAG_FOLDER)
+        self._bag = SplitBag(path / BAG_FOLDER, split)
+        self._describe(complete=False)
 
     def add_topic(self, name: str, msgtype: str, qos: Sequence[Qos]) -> None:
         """Announce a topic, or more publishers of it."""
@@ -50,32 +65,76 @@ class Recorder:
 
     def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
         """Append a message."""
-        self._bag.write(topic, stamp_ns, data)
+        if not self.ended:
+            with self._while_possible():
+                self._bag.write(topic, stamp_ns, data)
+
+    def flush(self) -> None:
+        """Write everything to the disk, if there is enough space; call it once a second."""
+        if self.ended:
+            return
+        if (free := _free_bytes(self.path)) < self._floor:
+            self._end(f"only {free / 2**20:.0f} MiB are free where it is written")
+            return
+        with self._while_possible():
+            self._bag.flush()
 
     def write_graph(self, start_s: int, graph: RosGraph) -> None:
-        """Write the graph of the interval that began at a second of the recording."""
-        write_gexf(graph, self._unfinished / GRAPHS_FOLDER / f"{start_s:06d}.gexf")
+        """Write the graph of the interval that began at a second, and the facts so far."""
         self._run = compose((self._run, graph))
-
-    def __enter__(self) -> Self:
-        self._bag.__enter__()
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc_value: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        messages = {} if exc_type else self._bag.counts
-        self._bag.__exit__(exc_type, exc_value, traceback)
-        if exc_type is not None:
+        if self.ended:
             return
-        write_gexf(self._run, self._unfinished / GRAPHS_FOLDER / "run.gexf")
-        write_graphml(self._run, self._unfinished / GRAPHS_FOLDER / "run.graphml")
-        _write_json(self._unfinished / RECORDING_FILE, {**self.facts, "messages": messages})
-        self._unfinished.rename(self.path)
+        with self._while_possible():
+            name = f"{start_s:06d}.gexf"
+            write_whole(self.path / GRAPHS_FOLDER / name, lambda path: write_gexf(graph, path))
+            self._describe(complete=False)
+
+    def close(self) -> None:
+        """End the recording, whatever has happened before."""
+        if not self.ended:
+            self._bag.close()
+        graphs = self.path / GRAPHS_FOLDER
+        with contextlib.suppress(OSError):
+            write_gexf(self._run, graphs / "run.gexf")
+            write_graphml(self._run, graphs / "run.graphml")
+        with contextlib.suppress(OSError):
+            self._describe(complete=True)
+        self._lock.close()
+
+    def _describe(self, *, complete: bool) -> None:
+        document = {**self.facts, "messages": dict(self._bag.counts), "ended": self.ended}
+        write_summary(self.path, {"complete": complete, **document})
+
+    @contextlib.contextmanager
+    def _while_possible(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self._end(error.strerror or str(error))
+
+    def _end(self, reason: str) -> None:
+        self.ended = reason
+        self._bag.close()
 
 
-def _write_json(path: Path, document: Mapping[str, Any]) -> None:
-    path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+def write_summary(folder: Path, document: dict[str, Any]) -> None:
+    """Write ``recording.json``."""
+    text = json.dumps(document, indent=1, allow_nan=False) + "\n"
+    write_whole(folder / RECORDING_FILE, lambda path: path.write_text(text, encoding="utf-8"))
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file that is never seen in part."""
+    unfinished = path.with_name(f"{path.name}.tmp")
+    write(unfinished)
+    unfinished.replace(path)
+
+
+def _free_bytes(path: Path) -> int:
+    disk = os.statvfs(path)
+    return disk.f_bavail * disk.f_frsize
+
+
+def _floor(path: Path) -> int:
+    disk = os.statvfs(path)
+    return round(min(_MOST, max(_LEAST, _SHARE * disk.f_blocks * disk.f_frsize)))

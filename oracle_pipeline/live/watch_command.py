@@ -1,4 +1,4 @@
-"""``oracle watch``: watches a DDS domain, and prints events."""
+"""``oracle watch`` and ``oracle recover``: watch a DDS domain, and finish what a watch left."""
 
 import contextlib
 import dataclasses
@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from oracle_pipeline.live.quantities import as_size, as_split
 from oracle_pipeline.options import format_option, plugins_option
 
 if TYPE_CHECKING:
     from oracle_pipeline.live.events import Event
     from oracle_pipeline.live.page_server import LivePage
+    from oracle_pipeline.live.split_bag import Split
     from oracle_pipeline.live.watch import Watch
 
 
@@ -31,6 +33,14 @@ if TYPE_CHECKING:
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
     help="Folder that the recording goes into. Without one, nothing is recorded.",
+)  # fmt: skip
+@click.option(
+    "--split", metavar="SIZE|TIME", callback=as_split,
+    help="Size or length of a file of the recording, such as 1GiB or 10min.  [default: one file]",
+)  # fmt: skip
+@click.option(
+    "--keep-free", metavar="SIZE", callback=as_size,
+    help="Free space at which recording ends.  [default: 2% of the disk, at most 1GiB]",
 )  # fmt: skip
 @click.option(
     "--alarms-per-hour", type=click.FloatRange(0.0, min_open=True),
@@ -52,6 +62,8 @@ def watch(
     reference: Path | None,
     domain: int | None,
     out: Path | None,
+    split: "Split",
+    keep_free: int | None,
     alarms_per_hour: float | None,
     file_format: str,
     duration: float | None,
@@ -61,15 +73,15 @@ def watch(
     """Watch a running robot: record it, and judge it as it goes.
 
     It joins a DDS domain without ROS, takes the ROS graph every 10 s, and judges windows of 5 s as
-    they end. It never publishes. Ctrl-C ends the recording properly; `oracle score` then judges it
-    as a whole, and Foxglove opens its bag.
+    they end. It never publishes. However it ends, what was recorded until a second before is kept:
+    `oracle score` judges it as a whole, and Foxglove opens its bag.
 
     Exit code 0: no alarm; 1: at least one; 2: it could not watch.
 
     \b
     Examples:
         oracle watch
-        oracle watch --reference robot.card --out recordings/
+        oracle watch --reference robot.card --out recordings/ --split 1GiB
         oracle watch --reference robot.card --view
         oracle watch --reference robot.card --domain 7 --format json | jq .alarm
     """  # noqa: D301 -- click reads the control character
@@ -77,6 +89,8 @@ def watch(
     from oracle_pipeline.live.events import ContractAlarm, WindowAlarm
     from oracle_pipeline.live.watch import Watch
 
+    if out is not None and out.is_dir():
+        _finish_leftovers(out)
     number = default_domain() if domain is None else domain
     name = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
     alarms = 0
@@ -88,12 +102,14 @@ def watch(
                 card=reference,
                 folder=out,
                 name=name,
+                split=split,
+                keep_free_bytes=keep_free,
                 alarms_per_h=alarms_per_hour,
                 plugins=plugins,
             )
         )
-        signal.signal(signal.SIGINT, lambda *_: watching.stop())
-        signal.signal(signal.SIGTERM, lambda *_: watching.stop())
+        for ends in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(ends, lambda *_: watching.stop())
         if duration is not None:
             signal.signal(signal.SIGALRM, lambda *_: watching.stop())
             signal.setitimer(signal.ITIMER_REAL, duration)
@@ -106,9 +122,40 @@ def watch(
             for line in lines:
                 click.echo(line)
     click.echo(f"{watching.received} messages received, {watching.dropped} dropped.", err=True)
-    if watching.recording is not None:
-        click.echo(f"Recording: {watching.recording.path}", err=True)
+    for path in watching.recordings:
+        click.echo(f"Recording: {path}", err=True)
     ctx.exit(1 if alarms else 0)
+
+
+@click.command()
+@click.argument("folder", type=click.Path(path_type=Path, exists=True, file_okay=False))
+@click.pass_context
+def recover(ctx: click.Context, folder: Path) -> None:
+    """Finish recordings of `oracle watch` that were not completed.
+
+    FOLDER is a recording, or the folder that was given with --out. A recording whose watch was
+    killed is readable as it is; other tools need the end of its last file, which this writes.
+    `oracle watch --out FOLDER` does the same when it starts.
+
+    Exit code 0: all are complete; 2: one could not be finished.
+
+    \b
+    Examples:
+        oracle recover recordings/
+    """  # noqa: D301 -- click reads the control character
+    ctx.exit(2 if _finish_leftovers(folder) else 0)
+
+
+def _finish_leftovers(folder: Path) -> int:
+    """Finish recordings, and return how many could not be finished."""
+    from oracle_pipeline.live.recovery import recover
+
+    faults = 0
+    for each in recover(folder):
+        faults += bool(each.fault)
+        told = each.fault or f"{each.messages} messages are kept."
+        click.echo(f"{each.path} was not completed. {told}", err=True)
+    return faults
 
 
 def _page(port: int) -> "LivePage":

@@ -70,6 +70,10 @@ class WindowScorer:
         self.alarms_per_h = alarms_per_h or max(RATE_PER_H, normal.lowest_rate())
         self._watch = AlarmWatch(normal.rule(self.alarms_per_h))
 
+    def restart(self) -> None:
+        """Forget the windows so far: time starts anew."""
+        self._watch = AlarmWatch(self._watch.rule)
+
     def judge(self, row: pd.DataFrame, end_s: float) -> WindowVerdict:
         """Judge a window by its row of features."""
         score = float(self._scorer.window_scores(row)[0])

@@ -72,6 +72,7 @@ def test_messages_and_graphs_are_recorded_in_simulated_time(domain, speaker, tmp
     speaker.start()
     with Watch(domain, folder=tmp_path, name="today") as watch:
         events = watched(watch, lambda so_far: len(graphs(so_far)) == 2)
+    assert watch.recordings == [tmp_path / "today"]
     received = Counter(event.topic for event in events if isinstance(event, MessageReceived))
     with open_run(tmp_path / "today", strict=True) as run:
         assert {name: topic.count for name, topic in run.bag.topics.items()} == received

@@ -1,0 +1,146 @@
+"""A stretch of a watch during which time ran on: its windows, intervals and recording.
+
+A step of the clock ends it, and another one begins. Windows and intervals exist only where messages
+are, so a silent hour costs nothing.
+"""
+
+from collections.abc import Callable, Collection
+
+from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S
+from oracle_pipeline.bags.reader import RawMessage
+from oracle_pipeline.graphs.intervals import Interval
+from oracle_pipeline.live.contract_watch import ContractWatch
+from oracle_pipeline.live.discovery import Discovery
+from oracle_pipeline.live.events import ContractAlarm, Event, GraphTaken
+from oracle_pipeline.live.graph_snapshot import snapshot
+from oracle_pipeline.live.judge_process import JudgeProcess
+from oracle_pipeline.live.recorder import Recorder
+from oracle_pipeline.live.time_base import Stamped
+from oracle_pipeline.windows import HOP_S, WINDOW_S
+
+_SECOND_NS = 1_000_000_000
+_HOP_NS, _WINDOW_NS = round(HOP_S * 1e9), round(WINDOW_S * 1e9)
+_INTERVAL_NS = round(INTERVAL_S * 1e9)
+
+
+class Segment:
+    """Records, counts and judges the messages of one stretch.
+
+    Parameters
+    ----------
+    start_ns : int
+        Stamp of its first message.
+    discovery : Discovery
+    known : collection of str
+        Topics of known types.
+    judge : JudgeProcess or None
+    contract : ContractWatch or None
+    recorder : Recorder or None
+    report : callable
+        Takes events.
+    """
+
+    def __init__(
+        self,
+        start_ns: int,
+        discovery: Discovery,
+        known: Collection[str],
+        judge: JudgeProcess | None,
+        contract: ContractWatch | None,
+        recorder: Recorder | None,
+        report: Callable[[Event], None],
+    ) -> None:
+        self.start_ns = start_ns
+        self.recorder = recorder
+        self._now_ns = self._newest_ns = start_ns
+        self._discovery, self._known, self._report = discovery, known, report
+        self._judge, self._contract = judge, contract
+        self._fresh: list[RawMessage] = []  # that the judge has not got yet
+        self._sent: dict[int, tuple[int, int]] = {}  # messages and bytes of the interval
+        self._interval = 0  # number of the current one
+        self._window = 0  # number of the next one to end
+        self._second = 1  # at which the contract is checked next
+
+    @property
+    def duration_s(self) -> float:
+        """Length so far [s]."""
+        return (self._now_ns - self.start_ns) / _SECOND_NS
+
+    def add(self, stamped: Stamped) -> None:
+        """Take a message; stamps never run back."""
+        message, stamp_ns = stamped
+        self.advance_to(stamp_ns)
+        self._newest_ns = stamp_ns
+        if self._contract is not None:
+            self._contract.count(message.topic, self.duration_s)
+        messages, size = self._sent.get(message.writer, (0, 0))
+        self._sent[message.writer] = messages + 1, size + len(message.data)
+        if self.recorder is not None:
+            self.recorder.write(message.topic, stamp_ns, message.data)
+        if self._judge is not None:
+            self._fresh.append(RawMessage(message.topic, stamp_ns, message.data))
+
+    def advance_to(self, stamp_ns: int) -> None:
+        """End the windows and intervals that are over and have a message; leave out the others."""
+        while self._newest_ns >= self._window * _HOP_NS + self.start_ns and self._is_over(stamp_ns):
+            self._end_window()
+        if self._is_over(stamp_ns):
+            self._skip_to(stamp_ns - self.start_ns)
+        self._now_ns = max(self._now_ns, stamp_ns)
+        self._check_contract()
+
+    def forward(self) -> None:
+        """Send the judge what came since the last call."""
+        if self._judge is not None and self._fresh:
+            self._judge.add(self._fresh)
+            self._fresh = []
+
+    def end(self) -> None:
+        """End the last interval, if it is long enough."""
+        self.forward()
+        rest_s = self.duration_s - self._interval * INTERVAL_S
+        if self._sent and rest_s >= MIN_INTERVAL_S and self._discovery.topics():
+            self._end_interval()
+
+    def _is_over(self, stamp_ns: int) -> bool:
+        """Return whether a window has ended; each interval ends together with a window."""
+        return stamp_ns >= self.start_ns + self._window * _HOP_NS + _WINDOW_NS
+
+    def _end_window(self) -> None:
+        begin_ns = self._window * _HOP_NS
+        end_ns = begin_ns + _WINDOW_NS
+        self.forward()
+        if end_ns >= (self._interval + 1) * _INTERVAL_NS:
+            self._end_interval()
+        if self._judge is not None:
+            start_ns = self.start_ns
+            self._judge.end_window(start_ns, start_ns + begin_ns, start_ns + end_ns)
+        self._window += 1
+
+    def _skip_to(self, passed_ns: int) -> None:
+        """Go to the window and interval of a time, past those in which nothing came."""
+        self._window = (passed_ns - _WINDOW_NS) // _HOP_NS + 1
+        if passed_ns >= (self._interval + 1) * _INTERVAL_NS:
+            if self._sent:
+                self._end_interval()
+            self._interval = passed_ns // _INTERVAL_NS
+
+    def _end_interval(self) -> None:
+        start_s = self._interval * INTERVAL_S
+        graph = snapshot(self._discovery, self._sent)
+        self._sent.clear()
+        self._interval += 1
+        if self.recorder is not None:
+            self.recorder.write_graph(start_s, graph)
+        if self._judge is not None:
+            self._judge.add_graph(Interval(float(start_s), graph))
+        self._report(GraphTaken(start_s, graph))
+
+    def _check_contract(self) -> None:
+        """Compare the robot with the contract, once for each second."""
+        if self._contract is None or self.duration_s < self._second:
+            return
+        now_s = self.duration_s
+        self._second = int(now_s) + 1
+        if breaches := self._contract.check(now_s, self._discovery, self._known):
+            self._report(ContractAlarm(now_s, breaches))
