@@ -60,7 +60,7 @@ def checks_of_runs(
     context: dg.AssetCheckExecutionContext, store: RunStore, fleet: Fleet
 ) -> Iterator[dg.AssetCheckEvaluation | dg.Output[None]]:
     """Inspect the runs of the partitions."""
-    from assets.worker.inspections import InspectionResult, Inspection, inspect
+    from assets.worker.inspections import Inspection, InspectionResult, inspect
 
     specs = {spec.name: spec for spec in CHECKS if spec.key in context.selected_asset_check_keys}
     runs = {key: store.run(key) for key in context.op_execution_context.partition_keys}
