@@ -64,7 +64,7 @@ NOTHING: set[str] = set()
         ("sim/atc/fusion.py", FLIGHTS),
         ("sim/fuzzing/operators.py", RUNS),
         ("sim/fuzzing/scenario.schema.json", RUNS),
-        ("oracle_pipeline/bags/writer.py", RUNS),
+        ("oracle_pipeline/bags/writer.py", RUNS | FEATURES | ANALYSES),  # logs are written as bags
         ("oracle_pipeline/windows.py", FEATURES | ANALYSES),
         ("oracle_pipeline/bags/protocol.py", RUNS | FEATURES | ANALYSES),
         ("oracle_pipeline/datasets.py", FEATURES | ANALYSES),
@@ -79,7 +79,7 @@ NOTHING: set[str] = set()
         ("oracle_pipeline/reporting/html.py", {"reports"}),
         ("assets/oracle_evaluation.py", {"evaluation"}),
         ("oracle_pipeline/cli.py", NOTHING),
-        ("oracle_pipeline/replay/command.py", NOTHING),
+        ("oracle_pipeline/replay/replay_command.py", NOTHING),
     ],
 )
 def test_a_change_changes_the_versions_of_what_depends_on_it(tree, before, place, changed):
