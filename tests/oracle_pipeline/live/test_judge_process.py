@@ -198,19 +198,45 @@ def test_the_death_of_the_judging_process_is_reported(card, eventually):
     judge.close()
 
 
+class Hurried:
+    """A judge that gets a whole run at once, and then its windows."""
+
+    def __init__(self, card, path):
+        self.judge = JudgeProcess(card, PER_HOUR)
+        with open_run(path) as run:
+            self.start_ns = run.bag.start_ns
+            for topic in run.bag.topics.values():
+                self.judge.add_topic(topic.name, topic.msgtype, topic.qos)
+            self.judge.add(list(run.bag.messages()))
+
+    def end_window(self, end_s):
+        end_ns = self.start_ns + round(end_s * SECOND_NS)
+        self.judge.end_window(self.start_ns, end_ns - round(WINDOW_S * SECOND_NS), end_ns)
+
+
 def test_windows_that_come_too_fast_are_left_out_and_the_newest_are_judged(card, recorded_run):
-    with open_run(recorded_run(NORMAL, 4).path) as run:
-        start_ns, messages = run.bag.start_ns, list(run.bag.messages())
-        topics = run.bag.topics
-    judge = JudgeProcess(card, PER_HOUR)
-    for topic in topics.values():
-        judge.add_topic(topic.name, topic.msgtype, topic.qos)
-    judge.add(messages)
-    for number in range(20):
-        end_ns = start_ns + round((10.0 + number) * SECOND_NS)
-        judge.end_window(start_ns, end_ns - round(WINDOW_S * SECOND_NS), end_ns)
-    verdicts = []
-    while not verdicts or verdicts[-1].end_s < 29.0:
+    hurried = Hurried(card, recorded_run(NORMAL, 4).path)
+    judge, verdicts = hurried.judge, []
+    for number in range(10):
+        hurried.end_window(10.0 + number)
+    while not verdicts or verdicts[-1].end_s < 19.0:
         verdicts += judge.verdicts(1.0)
-    assert 0 < judge.left_out == 20 - len(verdicts)
+    assert 0 < judge.left_out == 10 - len(verdicts)
+    judge.close()
+
+
+def test_a_judge_that_is_far_behind_judges_no_window_that_lacks_messages(card, recorded_run):
+    hurried = Hurried(card, recorded_run(NORMAL, 4).path)
+    judge, ended, verdicts = hurried.judge, 30, []
+    for number in range(ended):
+        hurried.end_window(5.0 + 0.1 * number)
+    while len(verdicts) + judge.left_out < ended:
+        verdicts += judge.verdicts(1.0)
+    last_s = 5.0 + 0.1 * (ended - 1)
+    assert all(verdict.end_s < last_s for verdict in verdicts)
+    assert not list(judge.verdicts())
+    hurried.end_window(last_s + 10.0)  # it overlaps what was not sent
+    hurried.end_window(last_s + CONTEXT_S + WINDOW_S + 0.1)
+    (verdict,) = [next(judge.verdicts(60.0))]
+    assert verdict.end_s > last_s + CONTEXT_S + WINDOW_S
     judge.close()
