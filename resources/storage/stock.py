@@ -168,9 +168,9 @@ def make_plan(
     expected = {
         mode: expected_sizes(mode, stock) or guess for mode in sorted({run.mode for run in new})
     }
-    room = _working_room(new, expected, workers)
+    room, ample_room = _working_rooms(new, expected, workers)
     needed = sum(expected[run.mode].full for run in new)
-    if AMPLE * needed + room <= limit - stock.total:
+    if AMPLE * needed + ample_room <= limit - stock.total:
         blocks = sorted({run.run for run in wanted})
         return StoragePlan(
             dict.fromkeys(blocks, "full"), expected, (), len(blocks), stock.total, limit
@@ -184,8 +184,9 @@ def make_plan(
         takes[run.run].append(sizes)
     others = stock.total - sum(run.total for run in stock.runs.values())
     fewest_finished = _fewest_finished(expected, stock)
+    available = int(limit * (1.0 - MARGIN)) - others
     try:
-        kept = plan(takes, int(limit * (1.0 - MARGIN)) - others - room)
+        kept = _fullest(takes, available - ample_room, available - room)
     except StorageError:
         # The first guess may be wrong: if a few runs fit, record and measure them.
         if fewest_finished or limit - stock.total < workers * guess.recipe:
@@ -224,15 +225,29 @@ def expected_sizes(mode: str, stock: Stock) -> Sizes | None:
     return Sizes(round(rest + bag), round(rest + smaller), round(rest))
 
 
-def _working_room(new: Sequence[RunDirectory], expected: Mapping[str, Sizes], workers: int) -> int:
-    """Return the temporary storage that runs need while they are recorded.
+def _working_rooms(
+    new: Sequence[RunDirectory], expected: Mapping[str, Sizes], workers: int
+) -> tuple[int, int]:
+    """Return the temporary storage that runs need while they are recorded, and an ample one.
 
-    Besides what is kept of a run, its complete bag is there until its features are extracted.
+    Besides what is kept of a run, its complete bag is there until its features are extracted. With
+    ample room, all runs that are recorded at the same time may be of the largest mode, or larger
+    than expected.
     """
-    bags = sorted(
-        (expected[run.mode].full - expected[run.mode].recipe for run in new), reverse=True
-    )
-    return sum(bags[:workers])
+    sizes = sorted((expected[run.mode] for run in new), key=lambda size: size.recipe - size.full)
+    largest = max((size.full + size.trimmed for size in sizes), default=0)
+    at_once = sizes[:workers]
+    return sum(size.full - size.recipe for size in at_once), len(at_once) * largest
+
+
+def _fullest(
+    takes: Mapping[int, Sequence[Sizes]], preferred: int, available: int
+) -> dict[int, Kept]:
+    """Return the plan that fits into the preferred storage, or else into what is available."""
+    try:
+        return plan(takes, preferred)
+    except StorageError:
+        return plan(takes, available)
 
 
 def _possible_sizes(run: RunDirectory, stock: Stock) -> tuple[Kept, Sizes]:
