@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from sim.fan_out import JobOutcome
 
 _RUN_CODE = run_code(testbed.made_by for testbed in TESTBEDS.values())
+_CURRENT = frozenset(run_code([testbed.made_by]) for testbed in TESTBEDS.values())
 
 EXPERIMENT_RUNS = dg.AssetSpec(
     "experiment_runs",
@@ -248,7 +249,9 @@ def _materialized(
             figures["dagster/column_schema"] = dg.MetadataValue.table_schema(
                 presentation.columns_of(place)
             )
-        yield Materialized(spec, made.version, made.code, figures)
+        # An asset has one version for the runs of all testbeds, a run that of its own testbed.
+        code = str(spec.code_version) if made.code in _CURRENT else made.code
+        yield Materialized(spec, made.version, code, figures)
 
 
 def _shrunk(key: str, report: "RunReport") -> dg.AssetObservation:

@@ -46,10 +46,9 @@ def _run(place: str) -> None:
     """Run the program at a place, ``module:attribute``."""
     try:
         with explain_clashes():
-            program = pkgutil.resolve_name(place)
+            pkgutil.resolve_name(place)()
     except ImportError as error:
         sys.exit(f"Error: {error}")
-    program()
 
 
 def _clash() -> str:

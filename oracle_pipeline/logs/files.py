@@ -1,4 +1,4 @@
-"""What kind of log a path is, by its name and first bytes; nothing is parsed for it."""
+"""What kind of log a path is, by its name, its first bytes and the columns of Parquet."""
 
 from pathlib import Path
 from typing import Literal, TypeAlias
@@ -10,6 +10,7 @@ Kind: TypeAlias = Literal["tables", "lerobot", "ulog", "dataflash"]
 EPISODE = "episode_"
 INFORMATION = Path("meta", "info.json")  # of a LeRobot data set
 
+_KEYS = {"run_id", "mode", "label", "block"}  # of a table of features
 _SUFFIXES = (".csv", ".parquet")
 _MAGIC: dict[bytes, Kind] = {b"ULog\x01\x12\x35": "ulog", b"\xa3\x95\x80": "dataflash"}
 
@@ -45,4 +46,17 @@ def is_episode(path: Path) -> bool:
 
 
 def _is_table(path: Path) -> bool:
-    return path.suffix.lower() in _SUFFIXES and path.is_file()
+    """Return whether a path is a CSV or Parquet file, but none of our tables of features."""
+    return path.suffix.lower() in _SUFFIXES and path.is_file() and not _has_features(path)
+
+
+def _has_features(path: Path) -> bool:
+    if path.suffix.lower() != ".parquet":
+        return False
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        return set(pq.read_schema(path).names) >= _KEYS
+    except (pa.ArrowException, OSError):
+        return False  # a damaged one is for the reader, which says so

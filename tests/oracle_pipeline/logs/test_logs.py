@@ -240,6 +240,12 @@ def test_folder_is_topics_of_one_recording_or_recordings_of_one_topic(tmp_path):
     assert list(recordings_below(arms)) == [arms / "monday", arms / "tuesday"]
 
 
+def test_table_of_features_is_no_log(tmp_path):
+    keys = {"run_id": ["a"], "mode": ["m"], "label": ["normal"], "block": [0], "time": [0.0]}
+    pd.DataFrame(keys).to_parquet(tmp_path / "features.parquet")
+    assert list(recordings_below(tmp_path)) == []
+
+
 def test_table_without_time_says_how_to_name_it(tmp_path):
     file = tmp_path / "t.csv"
     pd.DataFrame({"x": [1, 2]}).to_csv(file, index=False)
