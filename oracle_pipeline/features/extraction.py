@@ -36,6 +36,8 @@ from oracle_pipeline.features.engine.shared import system_of
 from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.engine.tables import FeatureTables, Measured, Table
 from oracle_pipeline.features.manager import FeatureManager
+from oracle_pipeline.features.signals.collector import SignalCollector
+from oracle_pipeline.features.signals.statistics import FAMILY, SignalTable
 from oracle_pipeline.graphs.intervals import compose, known_in
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.robots.robot import Robot, find_robots, of_robot
@@ -44,6 +46,8 @@ from oracle_pipeline.windows import windows_ns
 
 if TYPE_CHECKING:
     import pandas as pd
+
+NO_SIGNAL = "the recording has no such signal, or too few numbers of it"
 
 _EXPLAINED = Located, Missing  # a tuple, since a union would be made anew for each number
 
@@ -73,18 +77,24 @@ class _Row:
         self.values[column] = math.nan
         self.missing[column] = reason
 
+    def add_signals(self, table: SignalTable, span: Span, *, per_window: bool = False) -> None:
+        """Store the statistics of signals; those of another recording's signals are missing."""
+        self.values |= table.values(span.start_ns, span.end_ns, per_window=per_window)
+        self.missing[FAMILY] = NO_SIGNAL
+
 
 def extract(
     run: OpenedRun,
     manager: FeatureManager,
     robot: Robot | None = None,
     recording: KeptMessages | None = None,
+    signals: SignalCollector | None = None,
 ) -> FeatureTables:
     """Compute all features of one robot of a recording, as DataFrames.
 
     Like `measure`, including its errors.
     """
-    return measure(run, manager, robot, recording).frames()
+    return measure(run, manager, robot, recording, signals).frames()
 
 
 @np.errstate(all="ignore")  # recordings hold NaN and infinity; features of them are missing
@@ -93,6 +103,7 @@ def measure(
     manager: FeatureManager,
     robot: Robot | None = None,
     recording: KeptMessages | None = None,
+    signals: SignalCollector | None = None,
 ) -> Measured:
     """Compute all features of one robot of a recording.
 
@@ -108,6 +119,8 @@ def measure(
     recording : KeptMessages, optional
         The messages of the robot's bag for the plugins, and perhaps for others; by default the bag
         is read.
+    signals : SignalCollector, optional
+        Has seen the messages of `recording`.
 
     Raises
     ------
@@ -116,7 +129,9 @@ def measure(
     """
     robot = robot or only_robot(run)
     run = replace(run, bag=robot.bag)
-    recording = recording or KeptMessages.read(robot, manager.plugins)
+    if recording is None or signals is None:
+        signals = SignalCollector(robot.bag)
+        recording = KeptMessages.read(robot, manager.plugins, see=signals.see)
     whole = Span(0, recording.duration_ns)
     extraction = _Extraction(run, manager, recording, whole)
     of_run = extraction.row(whole)
@@ -126,12 +141,19 @@ def measure(
             for plugin in manager.thesis:
                 fields |= extraction.add_thesis_columns(of_run, plugin, whole, messages)
     of_run.missing |= manager.broken
+    table = SignalTable(signals.signals(recording.times_ns))
+    fields |= _fields(table.features)
+    of_run.add_signals(table, whole)
     spans = window_spans(recording)
     of_windows = [extraction.row(span, per_window=True) for span in spans]
-    windowed = {c: f for c, f in manager.features().items() if f.per_window}
+    for span, row in zip(spans, of_windows, strict=True):
+        row.add_signals(table, span, per_window=True)
+    windowed = {c: f for c, f in manager.features().items() if f.per_window} | table.of_windows
     starts = {WINDOW_START: [span.start_s for span in spans]}
     window_fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}
-    own = [*robot.roles.notes, *robot.roles.ambiguities(), *recording.notes]
+    own = [
+        *robot.roles.notes, *robot.roles.ambiguities(), *recording.notes, *signals.notes,
+    ]  # fmt: skip
     notes = (
         *run.bag.losses, *run.bag.notes,
         *(f"{robot.name}: {note}" if robot.name else note for note in own),
@@ -176,11 +198,15 @@ def extract_window(
     """
     robot = only_robot(run, choices)
     run = replace(run, bag=robot.bag)
-    recording = KeptMessages.read(robot, manager.plugins, carried)
+    signals = SignalCollector(robot.bag)
+    recording = KeptMessages.read(robot, manager.plugins, carried, signals.see)
     extraction = _Extraction(run, manager, recording, Span(0, recording.duration_ns))
     span = Span(round(start_s * 1e9), recording.duration_ns)
     row = extraction.row(span, per_window=True)
+    of_signals = SignalTable(signals.signals(recording.times_ns))
+    row.add_signals(of_signals, span, per_window=True)
     windowed = {c: f for c, f in manager.features().items() if f.per_window}
+    windowed |= of_signals.of_windows
     fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}
     table = _table(_keys(run, robot), {WINDOW_START: [start_s]}, windowed, [row], fields)
     return WindowFeatures(table.frame(), recording.carried())

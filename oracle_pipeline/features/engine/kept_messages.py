@@ -130,6 +130,11 @@ class KeptMessages:
             if kept.request.carried and not kept.error
         }
 
+    @property
+    def times_ns(self) -> Integers:
+        """Times of all messages in the order of reading, since the start [ns]."""
+        return self._times_ns
+
     def occupied(self) -> Integers:
         """Return the sorted times of all messages since the start [ns]."""
         return np.sort(self._times_ns)

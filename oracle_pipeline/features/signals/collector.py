@@ -1,0 +1,168 @@
+"""Collects the signals of a recording while its bag is read for the features."""
+
+from collections.abc import Iterator
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.typesys.store import Typestore
+
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.limits import LARGEST_DECODED
+from oracle_pipeline.bags.merging import Messages, Rows
+from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.features.engine.columns import Batch
+from oracle_pipeline.features.signals.fields import Numbers, numbers_of
+
+MOST_OF_TOPIC = 48  # signals of one topic
+MOST_SIGNALS = 320  # of a recording
+MOST_BYTES = 32 * 2**20  # of the messages of a topic that are decoded; the others are passed over
+MOST_MESSAGES = 20_000  # of a topic that are decoded
+_MOST_WAITING = 4 * 2**20  # bytes of a topic's messages that wait to be decoded together
+_OF_THE_MIDDLEWARE = "rcl_interfaces/"  # types of logs and of parameters
+_WHOLE_SHARE = 0.9  # of the messages of a topic; if fewer are whole, its type is wrong
+
+Floats: TypeAlias = NDArray[np.float64]
+
+
+class Signals(NamedTuple):
+    """Signals of one topic that have their numbers at the same times."""
+
+    topic: str
+    names: tuple[str, ...]  # of the fields
+    units: tuple[str, ...]  # empty if unknown
+    times_ns: NDArray[np.int64]  # ascending, since the start of the recording
+    values: Floats  # shape (n, n_names)
+
+
+class _Topic:
+    """The messages of one topic that wait to be decoded, and the numbers of the decoded ones."""
+
+    def __init__(self, msgtype: str, store: Typestore, count: int, *, is_cdr: bool) -> None:
+        self._msgtype = msgtype
+        self._store = store
+        self._is_cdr = is_cdr
+        self._every = max(1, -(-count // MOST_MESSAGES))
+        self._count = count
+        self._passed = 0
+        self._waiting: list[bytes] = []
+        self._rows: list[int] = []
+        self._held = 0
+        self._tried = self._whole = 0
+        self.found: list[Numbers] = []  # rows are numbers of messages in the recording
+
+    def add(self, batch: Messages, rows: Rows, first: int) -> None:
+        """Take the next messages; `first` is the number of the batch's first message."""
+        if not self._passed:
+            mean = float(batch.sizes[rows].mean())
+            self._every = max(self._every, int(-(-self._count * mean // MOST_BYTES)))
+        chosen = rows[-self._passed % self._every :: self._every]
+        self._passed += len(rows)
+        chosen = chosen[batch.sizes[chosen] <= LARGEST_DECODED]
+        self._waiting += batch.messages(chosen)
+        self._rows += (first + chosen).tolist()
+        self._held += int(batch.sizes[chosen].sum())
+        if self._held > _MOST_WAITING:
+            self.decode()
+
+    def decode(self) -> None:
+        """Decode the messages that wait; those that are not whole are left out."""
+        if not self._waiting:
+            return
+        batch = Batch(self._waiting, self._store, self._msgtype, is_cdr=self._is_cdr)
+        rows, whole = np.array(self._rows, dtype=np.int64), np.flatnonzero(batch.whole)
+        self._tried += len(rows)
+        self._whole += len(whole)
+        if len(whole):
+            some = batch if len(whole) == len(rows) else batch.some(whole)
+            for each in numbers_of(some.columns(), self._store, self._msgtype, MOST_OF_TOPIC):
+                self.found.append(each._replace(rows=rows[whole][each.rows]))
+        self._waiting, self._rows, self._held = [], [], 0
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether nearly all messages were whole."""
+        return self._whole >= _WHOLE_SHARE * self._tried
+
+
+class SignalCollector:
+    """Collects the signals of a bag: `see` is given the batches of messages as they are read.
+
+    Parameters
+    ----------
+    bag : BagReader
+        The bag that is read, of one robot.
+
+    Attributes
+    ----------
+    notes : list of str
+        Signals that were left out, once `signals` was called.
+    """
+
+    def __init__(self, bag: BagReader) -> None:
+        self.notes: list[str] = []
+        self._names = list(bag.topics)
+        self._first = 0  # number of the next batch's first message
+        self._topics: dict[int, _Topic] = {}
+        for number, topic in enumerate(bag.topics.values()):
+            if topic.msgtype.startswith(_OF_THE_MIDDLEWARE):
+                continue
+            try:
+                store = bag.typestore(topic.msgtype)
+            except BagError:
+                continue
+            is_cdr = topic.encoding != "ros1"
+            self._topics[number] = _Topic(topic.msgtype, store, topic.count, is_cdr=is_cdr)
+
+    def see(self, batch: Messages) -> None:
+        """Take the numbers of the next messages of the bag."""
+        for number, rows in batch.by_topic():
+            if number in self._topics:
+                self._topics[number].add(batch, rows, self._first)
+        self._first += len(batch.topics)
+
+    def signals(self, times_ns: NDArray[np.int64]) -> list[Signals]:
+        """Return the signals of the recording, by topic.
+
+        Parameters
+        ----------
+        times_ns : ndarray of shape (n_messages,)
+            Of each message in the order of reading, since the start of the recording.
+        """
+        found: list[Signals] = []
+        left = MOST_SIGNALS
+        cut: list[str] = []
+        for number in sorted(self._topics, key=self._names.__getitem__):
+            topic = self._topics[number]
+            topic.decode()
+            for numbers in _joined(topic.found) if topic.is_sound else ():
+                if len(numbers.names) > left:
+                    cut.append(self._names[number])
+                    continue
+                left -= len(numbers.names)
+                found.append(_in_time(self._names[number], numbers, times_ns))
+        if cut:
+            self.notes.append(
+                f"The recording has more than {MOST_SIGNALS} signals; those of "
+                f"{', '.join(dict.fromkeys(cut))} are left out."
+            )
+        return found
+
+
+def _joined(parts: list[Numbers]) -> Iterator[Numbers]:
+    """Yield numbers of the same signals as one."""
+    by_names: dict[tuple[str, ...], list[Numbers]] = {}
+    for part in parts:
+        by_names.setdefault(part.names, []).append(part)
+    seen: set[str] = set()
+    for names, some in by_names.items():
+        if seen.isdisjoint(names):  # an array whose length changes is taken as it was first
+            seen.update(names)
+            rows = np.concatenate([each.rows for each in some])
+            yield Numbers(names, some[0].units, rows, np.concatenate([s.values for s in some]))
+
+
+def _in_time(topic: str, numbers: Numbers, times_ns: NDArray[np.int64]) -> Signals:
+    of_rows = times_ns[numbers.rows]
+    order = np.argsort(of_rows, kind="stable")
+    return Signals(topic, numbers.names, numbers.units, of_rows[order], numbers.values[order])

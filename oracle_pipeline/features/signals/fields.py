@@ -1,0 +1,208 @@
+"""Takes the numbers out of many messages of one type, each under the name of its field.
+
+A number is treated as what it is. Stamps and texts are left out. A quaternion becomes roll, pitch,
+yaw and norm, a covariance its trace. Short arrays are signals by index, or by label where the
+message has labels. Of a long array there are mean, spread, minimum, maximum and the share of finite
+numbers. Transforms are signals by their pair of frames.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
+
+from oracle_pipeline.features.engine.columns import Columns
+from oracle_pipeline.features.engine.common_fields import frame_names
+from oracle_pipeline.features.signals.units import UNITS
+
+MOST_ELEMENTS = 16  # of an array whose elements are signals; of longer ones there is a summary
+MOST_SUMMARISED = 2048  # numbers of an array that its summary looks at, spread evenly
+MOST_DEPTH = 8  # of nested types
+SUMMARY = ("mean", "spread", "min", "max", "finite")
+_SKIPPED = {"builtin_interfaces/msg/Time", "std_msgs/msg/Header"}
+_QUATERNION = "geometry_msgs/msg/Quaternion"
+_DURATION = "builtin_interfaces/msg/Duration"
+_LAYOUT = "std_msgs/msg/MultiArrayLayout"
+_LABELS = ("name", "names", "joint_names")  # of arrays in the same message
+
+Floats: TypeAlias = NDArray[np.float64]
+_Field: TypeAlias = tuple[str, str, Floats]  # name, unit, a number for each message
+
+
+class Numbers(NamedTuple):
+    """Numbers of many messages of one topic, in columns of equal length."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    rows: NDArray[np.int64]  # message of each number, ascending
+    values: Floats  # shape (n, n_names)
+
+
+def numbers_of(messages: Columns, store: Typestore, msgtype: str, most: int) -> list[Numbers]:
+    """Return the numbers of messages of one type.
+
+    Parameters
+    ----------
+    messages : Columns
+        At least one message.
+    store : Typestore
+        Has the definition of the type.
+    msgtype : str
+        Of the messages.
+    most : int
+        Largest number of signals of the topic.
+    """
+    fields = []
+    for each in _fields(messages, store, msgtype, "", "", 0):
+        fields.append(each)
+        if len(fields) == most:
+            break
+    found = [_together(fields, np.arange(len(messages)))] if fields else []
+    return [*found, *_transforms(messages, store, msgtype, most)]
+
+
+def _together(fields: Sequence[_Field], rows: NDArray[np.int64]) -> Numbers:
+    names, units, values = zip(*fields, strict=True)
+    return Numbers(names, units, rows, np.column_stack(values))
+
+
+def _fields(
+    messages: Columns, store: Typestore, msgtype: str, path: str, unit: str, depth: int
+) -> Iterator[_Field]:
+    """Yield the numbers in the fields of a type, in the order of its definition."""
+    if depth > MOST_DEPTH or msgtype in _SKIPPED or msgtype == _LAYOUT:
+        return
+    if msgtype == _QUATERNION:
+        yield from _rotation(messages, path)
+        return
+    if msgtype == _DURATION:
+        yield path, "s", np.asarray(messages.sec + 1e-9 * messages.nanosec, dtype=np.float64)
+        return
+    definition = store.fielddefs[msgtype][1]
+    labels = _labels(messages, [name for name, _ in definition])
+    for name, (kind, what) in definition:
+        own, of = f"{path}.{name}" if path else name, UNITS.get((msgtype, name), unit)
+        if kind == Nodetype.NAME:
+            yield from _fields(getattr(messages, name), store, str(what), own, of, depth + 1)
+        elif kind == Nodetype.BASE:
+            if what[0] != "string":
+                yield own, of, np.asarray(getattr(messages, name), dtype=np.float64)
+        elif what[0][0] == Nodetype.BASE:
+            if what[0][1][0] != "string":
+                yield from _array(getattr(messages, name), own, of, labels)
+        else:
+            yield from _elements(
+                getattr(messages, name), store, str(what[0][1]), own, len(messages)
+            )
+
+
+def _rotation(q: Columns, path: str) -> Iterator[_Field]:
+    x, y, z, w = (np.asarray(getattr(q, name), dtype=np.float64) for name in "xyzw")
+    norm = np.sqrt(x * x + y * y + z * z + w * w)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x, y, z, w = x / norm, y / norm, z / norm, w / norm
+        pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    yield f"{path}.roll", "rad", np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    yield f"{path}.pitch", "rad", pitch
+    yield f"{path}.yaw", "rad", np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    yield f"{path}.norm", "1", norm
+
+
+def _array(arrays: Any, path: str, unit: str, labels: Sequence[str]) -> Iterator[_Field]:
+    """Yield the numbers of an array, or its summary if it is long."""
+    lengths = np.array([len(each) for each in arrays])
+    longest = int(lengths.max(initial=0))
+    if not longest:
+        return
+    if "covariance" in path.rpartition(".")[2]:
+        yield f"{path}.trace", "", _traces(arrays)
+    elif longest <= MOST_ELEMENTS:
+        padded = np.full((len(arrays), longest), np.nan)
+        for length in np.unique(lengths[lengths > 0]).tolist():
+            of_length = np.flatnonzero(lengths == length)
+            padded[of_length, :length] = np.stack([arrays[row] for row in of_length.tolist()])
+        names = labels if len(labels) == longest else [str(index) for index in range(longest)]
+        for name, column in zip(names, padded.T, strict=True):
+            yield f"{path}[{name}]", unit, column
+    else:
+        units = (unit, unit, unit, unit, "1")
+        for name, of, column in zip(SUMMARY, units, _summaries(arrays).T, strict=True):
+            yield f"{path}.{name}", of, column
+
+
+def _traces(arrays: Any) -> Floats:
+    sides = [math.isqrt(len(each)) for each in arrays]
+    return np.array(
+        [float(np.sum(each[:: side + 1])) for each, side in zip(arrays, sides, strict=True)]
+    )
+
+
+def _summaries(arrays: Any) -> Floats:
+    """Return the `SUMMARY` of each array, shape (n, 5)."""
+    found = np.full((len(arrays), len(SUMMARY)), np.nan)
+    for row, each in enumerate(arrays):
+        some = np.asarray(each[:: 1 + len(each) // MOST_SUMMARISED], dtype=np.float64)
+        finite = some[np.isfinite(some)]
+        if len(finite):
+            found[row, :4] = finite.mean(), finite.std(), finite.min(), finite.max()
+        if len(some):
+            found[row, 4] = len(finite) / len(some)
+    return found
+
+
+def _elements(
+    elements: Columns, store: Typestore, msgtype: str, path: str, count: int
+) -> Iterator[_Field]:
+    """Yield the length of a sequence of messages, and the means of their numbers."""
+    sizes = np.bincount(elements.owners, minlength=count).astype(np.float64)
+    yield f"{path}.length", "1", sizes
+    if _is_transform(store, msgtype) or not len(elements):
+        return
+    for name, (kind, what) in store.fielddefs[msgtype][1]:
+        if kind == Nodetype.BASE and what[0] != "string":
+            totals = np.bincount(elements.owners, np.asarray(getattr(elements, name)), count)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                yield f"{path}.{name}", UNITS.get((msgtype, name), ""), totals / sizes
+
+
+def _labels(messages: Columns, names: Sequence[str]) -> Sequence[str]:
+    """Return the labels of the elements of a message's arrays; empty if it has none."""
+    if "layout" in names:
+        dimensions = messages.layout.dim
+        first = dimensions.owners == dimensions.owners[:1]
+        labels = [str(label) for label in dimensions.label[first]] if len(dimensions) else []
+        texts = labels[0].replace(",", " ").split() if len(labels) == 1 else labels
+    else:
+        found = [name for name in _LABELS if name in names]
+        texts = list(getattr(messages, found[0])[0]) if found else []
+    texts = [str(text).replace("/", "_") for text in texts]
+    return texts if len(set(texts)) == len(texts) and all(texts) else []
+
+
+def _is_transform(store: Typestore, msgtype: str) -> bool:
+    return {"transform", "child_frame_id"} <= {name for name, _ in store.fielddefs[msgtype][1]}
+
+
+def _transforms(messages: Columns, store: Typestore, msgtype: str, most: int) -> Iterator[Numbers]:
+    """Yield the numbers of transforms, by their pair of frames."""
+    for name, (kind, what) in store.fielddefs[msgtype][1]:
+        if kind not in (Nodetype.ARRAY, Nodetype.SEQUENCE) or what[0][0] != Nodetype.NAME:
+            continue
+        if not _is_transform(store, str(what[0][1])):
+            continue
+        each = getattr(messages, name)
+        parents, children = frame_names(each.header.frame_id), frame_names(each.child_frame_id)
+        pairs = np.array(
+            [f"{p}-{c}".replace("/", "_") for p, c in zip(parents, children, strict=True)]
+        )
+        fields = list(_fields(each.transform, store, "geometry_msgs/msg/Transform", "", "", 0))
+        for pair in np.unique(pairs)[: max(1, most // max(len(fields), 1))].tolist():
+            of_pair = np.flatnonzero(pairs == pair)
+            yield _together(
+                [(f"{pair}.{own}", unit, values[of_pair]) for own, unit, values in fields],
+                each.owners[of_pair],
+            )

@@ -1,0 +1,191 @@
+"""Statistics of signals over a span of time: level, spread, range, change, and how they change."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.features.engine.between import between
+from oracle_pipeline.features.engine.plugin import Feature
+from oracle_pipeline.features.signals.collector import Floats, Signals
+from oracle_pipeline.features.signals.units import period_of
+
+FAMILY = "signals"
+FEWEST = 4  # numbers of a signal that has more than a level
+ROUNDING = 1e-7  # of the largest magnitude: smaller deviations are rounding errors
+FEWEST_HELD = 30  # numbers of a signal that can be said to stand still
+
+_IN_UNIT = {
+    "mean": "mean",
+    "std": "standard deviation",
+    "min": "minimum",
+    "max": "maximum",
+    "change": "mean magnitude of the change from one message to the next",
+}
+_PURE = {  # description, and smallest difference that means something
+    "autocorrelation": ("correlation of a value with the next", 0.15),
+    "held": ("longest share of the messages without a change", 0.05),
+    "missing": ("share of the messages without a finite value", 0.01),
+}
+OF_RUN = (*_IN_UNIT, *_PURE)
+OF_WINDOW = ("mean", "std", "change")
+_LEVELS = [0, 2, 3]  # places of mean, minimum and maximum
+_COUNTED = {"seq", "count", "counter", "timestamp", "time", "ticks"}  # last words of names
+
+
+class SignalTable:
+    """The statistics of the signals of a recording.
+
+    Parameters
+    ----------
+    signals : list of Signals
+
+    Attributes
+    ----------
+    features, of_windows : dict of str to Feature
+        By column of the table of runs, and of that of windows.
+    """
+
+    def __init__(self, signals: list[Signals]) -> None:
+        prepared = [_as_they_are(each) for each in signals]
+        self._signals = [each for each, _ in prepared]
+        self._periods = [periods for _, periods in prepared]
+        self.features = {
+            _column(each.topic, name, statistic): _feature(name, statistic, unit)
+            for each in self._signals
+            for name, unit in zip(each.names, each.units, strict=True)
+            for statistic in OF_RUN
+        }
+        self.of_windows = {
+            column: feature
+            for column, feature in self.features.items()
+            if column.rpartition(".")[2] in OF_WINDOW
+        }
+
+    def values(self, start_ns: int, end_ns: int, *, per_window: bool = False) -> dict[str, float]:
+        """Return the statistics of a span by column; NaN where a signal has too few numbers."""
+        wanted = OF_WINDOW if per_window else OF_RUN
+        values = {}
+        for each, periods in zip(self._signals, self._periods, strict=True):
+            part = slice(*between(each.times_ns, start_ns, end_ns))
+            found = _within_a_turn(_statistics(each.values[part]), periods)
+            for name, row in zip(each.names, found.T.tolist(), strict=True):
+                for statistic, value in zip(OF_RUN, row, strict=True):
+                    if statistic in wanted:
+                        values[_column(each.topic, name, statistic)] = value
+        return values
+
+
+def topic_of(column: str) -> str:
+    """Return the topic of a signal's column.
+
+    Examples
+    --------
+    >>> topic_of("signals./odom/pose.pose.position.x.mean")
+    '/odom'
+    """
+    return column.partition(".")[2].rpartition("/")[0]
+
+
+def _column(topic: str, name: str, statistic: str) -> str:
+    return f"{FAMILY}.{topic}/{name}.{statistic}"
+
+
+def _feature(name: str, statistic: str, unit: str) -> Feature:
+    if statistic in _IN_UNIT:
+        return Feature(name, unit, 0.0, f"{_IN_UNIT[statistic]} of the field")
+    words, floor = _PURE[statistic]
+    return Feature(name, "1", floor, f"{words}, of the field")
+
+
+def _as_they_are(signals: Signals) -> tuple[Signals, Floats]:
+    """Return angles without jumps of a turn, and counters as their rates; and the turns."""
+    values, names, units = signals.values.copy(), list(signals.names), list(signals.units)
+    periods = np.zeros(len(names))
+    for j, (name, unit) in enumerate(zip(signals.names, signals.units, strict=True)):
+        column = values[:, j]
+        finite = np.isfinite(column)
+        largest = float(np.abs(column[finite]).max(initial=0.0))
+        if period := period_of(name, unit, largest):
+            values[finite, j] = np.unwrap(column[finite], period=period)
+            periods[j] = period
+        elif _is_counter(name, column[finite]):
+            names[j], units[j] = f"{name}.rate", "1/s"
+            values[:, j] = _rates(column, signals.times_ns)
+    return signals._replace(names=tuple(names), units=tuple(units), values=values), periods
+
+
+def _within_a_turn(found: Floats, periods: Floats) -> Floats:
+    """Return the statistics of angles with a mean of at most half a turn."""
+    turns = np.zeros(len(periods))
+    np.divide(found[0], periods, out=turns, where=periods > 0.0)
+    found[_LEVELS] -= periods * np.round(turns)
+    return found
+
+
+def _is_counter(name: str, values: Floats) -> bool:
+    last = name.rpartition(".")[2].rpartition("_")[2].lower()
+    if len(values) < FEWEST or last not in _COUNTED:
+        return False
+    return bool((np.diff(values) >= 0.0).all() and values[-1] > values[0])
+
+
+def _rates(values: Floats, times_ns: NDArray[np.int64]) -> Floats:
+    seconds = np.diff(times_ns) * 1e-9
+    rates = np.full(len(values), np.nan)
+    np.divide(np.diff(values), seconds, out=rates[1:], where=seconds > 0.0)
+    return rates
+
+
+def _statistics(values: Floats) -> Floats:
+    """Return the statistics of each column, shape (len(OF_RUN), n_columns)."""
+    found = np.full((len(OF_RUN), values.shape[1]), np.nan)
+    if not len(values):
+        return found
+    finite = np.isfinite(values)
+    found[-1] = 1.0 - finite.mean(axis=0)
+    whole = finite.all(axis=0)
+    found[:-1, whole] = _of_finite(values[:, whole])
+    for j in np.flatnonzero(~whole & finite.any(axis=0)).tolist():
+        found[:-1, j] = _of_finite(values[finite[:, j], j][:, np.newaxis])[:, 0]
+    return found
+
+
+def _of_finite(values: Floats) -> Floats:
+    """Return all statistics but the last of columns of finite numbers.
+
+    A few numbers have a level only, so that what is published once counts too.
+    """
+    mean, low, high = values.mean(axis=0), values.min(axis=0), values.max(axis=0)
+    if len(values) < FEWEST:
+        unknown = np.full(len(mean), np.nan)
+        return np.stack([mean, unknown, low, high, *[unknown] * 3])
+    steps, centred = np.diff(values, axis=0), values - mean
+    squares = (centred * centred).mean(axis=0)
+    deviation, change = np.sqrt(squares), np.abs(steps).mean(axis=0)
+    rounding = ROUNDING * np.maximum(np.abs(low), np.abs(high))
+    is_constant = deviation <= rounding
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = (centred[1:] * centred[:-1]).sum(axis=0) / (squares * len(values))
+    return np.stack(
+        [
+            mean,
+            np.where(is_constant, 0.0, deviation),
+            low,
+            high,
+            np.where(is_constant, 0.0, change),
+            np.where(is_constant, 1.0, correlation),
+            np.array([*_held(steps)]),
+        ]
+    )
+
+
+def _held(steps: Floats) -> Iterator[float]:
+    """Yield the longest share of the messages without a change, for each column."""
+    count = len(steps) + 1
+    for column in steps.T:
+        changes = np.flatnonzero(column)
+        if count < FEWEST_HELD:
+            yield 0.0
+        else:
+            yield float(np.diff(changes, prepend=-1, append=len(steps)).max() / count)
