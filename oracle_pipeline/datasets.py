@@ -10,6 +10,7 @@ from __future__ import annotations  # pandas is imported only where it is used: 
 import hashlib
 import io
 import json
+import math
 import os
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
@@ -34,6 +35,8 @@ WHERE = "where"  # the column with the topic, pair or edge at which a feature wa
 _SEAL = "oracle.seal"  # key in the metadata of a Parquet schema
 MISSING = "missing"  # the column with the reason why a feature is NaN
 
+SIGNALS = "signals."  # prefix of columns that are statistics of the signals of any robot
+
 HARD_NEGATIVE = "benign_"  # prefix of the names of modes with a harmless change
 
 
@@ -53,7 +56,7 @@ class Fields(dict[str, dict[str, str]]):
 
 
 def feature_columns(df: pd.DataFrame, families: Collection[str] | None = None) -> list[str]:
-    """Return the feature columns, in table order.
+    """Return the feature columns, in table order, without those of signals.
 
     Parameters
     ----------
@@ -62,10 +65,30 @@ def feature_columns(df: pd.DataFrame, families: Collection[str] | None = None) -
     families : collection of str, optional
         Only these families; by default all.
     """
-    columns = [str(column) for column in df.columns if "." in str(column)]
+    named = [str(column) for column in df.columns if "." in str(column)]
+    columns = [column for column in named if not column.startswith(SIGNALS)]
     if families is None:
         return columns
     return [column for column in columns if column.split(".", 1)[0] in families]
+
+
+def signal_columns(df: pd.DataFrame) -> list[str]:
+    """Return the columns that are statistics of signals, in table order.
+
+    They differ between robots. Features are few and known; of signals there are hundreds.
+    """
+    return [str(column) for column in df.columns if str(column).startswith(SIGNALS)]
+
+
+def topic_of_signal(column: str) -> str:
+    """Return the topic of a column of `signal_columns`.
+
+    Examples
+    --------
+    >>> topic_of_signal("signals./odom/pose.pose.position.x.mean")
+    '/odom'
+    """
+    return column.removeprefix(SIGNALS).rpartition("/")[0]
 
 
 def feature_families(df: pd.DataFrame) -> list[str]:
@@ -79,9 +102,10 @@ def field_metadata(df: pd.DataFrame) -> dict[str, dict[str, str]]:
 
 
 def feature_floors(df: pd.DataFrame) -> dict[str, float]:
-    """Return the declared resolution of features, in the feature's unit."""
+    """Return the declared resolution of features, in the feature's unit; NaN is undeclared."""
     fields = field_metadata(df)
-    return {name: float(field["floor"]) for name, field in fields.items() if field.get("floor")}
+    floors = {name: float(field.get("floor", "nan")) for name, field in fields.items()}
+    return {name: floor for name, floor in floors.items() if math.isfinite(floor)}
 
 
 def is_malicious(df: pd.DataFrame) -> NDArray[np.bool_]:
@@ -139,9 +163,11 @@ def _joined(
     for part in parts:
         _check_keys(part, keys)
     parts.sort(key=lambda part: str(part["run_id"].iloc[0]))
-    columns = list(dict.fromkeys(column for part in parts for column in feature_columns(part)))
+    features = dict.fromkeys(column for part in parts for column in feature_columns(part))
     for part in parts:
-        _check_columns(part, columns)
+        _check_columns(part, list(features))
+    signals = dict.fromkeys(column for part in parts for column in signal_columns(part))
+    columns = [*features, *signals]
     joined = pd.concat(parts, ignore_index=True).astype(dict.fromkeys(columns, np.float64))
     repeated = joined.loc[joined.duplicated(order), "run_id"].unique()
     if len(repeated):

@@ -13,6 +13,7 @@ from oracle_pipeline.detectors.explain import (
     by_family,
     explain,
 )
+from oracle_pipeline.detectors.groups import LargestGroup
 from oracle_pipeline.detectors.panel import DEFAULT_DETECTOR, panel, pipeline, upper_bounds
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "DetectorError",
     "Deviation",
     "FamilyDeviation",
+    "LargestGroup",
     "Mahalanobis",
     "UsualRanges",
     "by_family",

@@ -37,7 +37,7 @@ from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.engine.tables import FeatureTables, Measured, Table
 from oracle_pipeline.features.manager import FeatureManager
 from oracle_pipeline.features.signals.collector import SignalCollector
-from oracle_pipeline.features.signals.statistics import FAMILY, SignalTable
+from oracle_pipeline.features.signals.statistics import SignalTable
 from oracle_pipeline.graphs.intervals import compose, known_in
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.robots.robot import Robot, find_robots, of_robot
@@ -46,8 +46,6 @@ from oracle_pipeline.windows import windows_ns
 
 if TYPE_CHECKING:
     import pandas as pd
-
-NO_SIGNAL = "the recording has no such signal, or too few numbers of it"
 
 _EXPLAINED = Located, Missing  # a tuple, since a union would be made anew for each number
 
@@ -78,9 +76,8 @@ class _Row:
         self.missing[column] = reason
 
     def add_signals(self, table: SignalTable, span: Span, *, per_window: bool = False) -> None:
-        """Store the statistics of signals; those of another recording's signals are missing."""
+        """Store the statistics of signals, without reasons for those that are missing."""
         self.values |= table.values(span.start_ns, span.end_ns, per_window=per_window)
-        self.missing[FAMILY] = NO_SIGNAL
 
 
 def extract(

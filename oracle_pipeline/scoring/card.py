@@ -25,14 +25,14 @@ from sklearn.pipeline import Pipeline
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import parse_table, replacing, table_bytes
-from oracle_pipeline.detectors import Mahalanobis, pipeline
+from oracle_pipeline.detectors import LargestGroup, Mahalanobis, pipeline
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.alarms import NormalWindows
 from oracle_pipeline.scoring.contract import Contract
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.run_scorer import Design, RunScorer
 
-VERSION = 4  # of the card format and of the windowing it was learned with
+VERSION = 5  # of the card format and of the windowing it was learned with
 SUFFIX = ".card"
 _FACTS, _RUNS, _MODELS = "card.json", "runs.parquet", "models.parquet"
 _WINDOWS = "windows.parquet"
@@ -45,6 +45,7 @@ _OF_WINDOWS = pa.schema(
         ("start_s", pa.list_(pa.float64())),
     ]
 )
+_OF_DETECTORS = ("precision", "groups", "components", "variances", "noise", "typical")
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # fixed, so that the same card gives the same bytes
 _DAMAGE = (zipfile.BadZipFile, zlib.error, RuntimeError)  # raised for a damaged ZIP
 _LARGEST = 1 << 30  # bytes of one member; a card of 840 runs has 40 MB
@@ -198,6 +199,9 @@ def _described(scorer: CrossConformalScorer) -> dict[str, Any]:
         "detector": "mahalanobis",
         "run_features": list(scorer.design.run_features),
         "window_features": list(scorer.design.window_features),
+        "run_signals": list(scorer.design.run_signals),
+        "window_signals": list(scorer.design.window_signals),
+        "levels": list(scorer.levels_),
         "fold": scorer.fold_.tolist(),
         "block": scorer.block_.tolist(),
         "held_out": scorer.held_out_.tolist(),
@@ -235,30 +239,57 @@ def _windows(scorers: Mapping[str, CrossConformalScorer]) -> list[dict[str, Any]
 
 def _state(model: Pipeline) -> dict[str, Any]:
     scaler, detector = model[0], model[1]
-    precision = detector.precision_
-    return {
+    state = dict.fromkeys(_OF_DETECTORS) | {
         "kept": scaler.kept_,
         "indicated": scaler.indicated_,
         "center": scaler.center_,
         "scale": scaler.scale_,
         "location": detector.location_,
-        # The matrix is symmetric, and single precision is enough.
-        "precision": precision[np.triu_indices(len(precision))].astype(np.float32),
     }
+    if isinstance(detector, LargestGroup):
+        return state | {
+            "groups": detector.groups,
+            "components": np.concatenate([c.ravel() for c in detector.components_], dtype="f4"),
+            "variances": [variances.tolist() for variances in detector.variances_],
+            "noise": detector.noise_,
+            "typical": detector.typical_,
+        }
+    precision = detector.precision_
+    # The matrix is symmetric, and single precision is enough.
+    return state | {"precision": precision[np.triu_indices(len(precision))].astype(np.float32)}
 
 
 def _restored(state: Mapping[str, Any], floors: Mapping[str, float]) -> Pipeline:
     """Return the fitted scaler and detector from the values of `_state`."""
-    model = pipeline(Mahalanobis(), floors)
-    scaler, detector = model[0], model[1]
+    restored = _restored_groups(state) if state["precision"] is None else _restored_matrix(state)
+    restored.location_ = np.array(state["location"])
+    restored.n_features_in_ = len(restored.location_)
+    model = pipeline(restored, floors)
+    scaler = model[0]
     scaler.kept_, scaler.indicated_ = list(state["kept"]), list(state["indicated"])
     scaler.center_, scaler.scale_ = np.array(state["center"]), np.array(state["scale"])
-    detector.location_ = np.array(state["location"])
-    n_features = detector.n_features_in_ = len(detector.location_)
+    return model
+
+
+def _restored_matrix(state: Mapping[str, Any]) -> Mahalanobis:
+    detector = Mahalanobis()
+    n_features = len(state["location"])
     upper = np.zeros((n_features, n_features))
     upper[np.triu_indices(n_features)] = state["precision"]
     detector.precision_ = upper + np.triu(upper, 1).T
-    return model
+    return detector
+
+
+def _restored_groups(state: Mapping[str, Any]) -> LargestGroup:
+    detector = LargestGroup(state["groups"])
+    detector.noise_, detector.typical_ = np.array(state["noise"]), np.array(state["typical"])
+    detector.variances_ = [np.array(variances) for variances in state["variances"]]
+    sizes = detector.sizes(len(state["location"]))
+    flat, detector.components_ = np.array(state["components"], dtype=np.float64), []
+    for size, variances in zip(sizes, detector.variances_, strict=True):
+        own, flat = np.split(flat, [size * len(variances)])
+        detector.components_.append(own.reshape(len(variances), size))
+    return detector
 
 
 def _scorer(
@@ -269,8 +300,12 @@ def _scorer(
 ) -> CrossConformalScorer:
     run_features, window_features = described["run_features"], described["window_features"]
     scorer = CrossConformalScorer(
-        Design(Mahalanobis(), tuple(run_features), tuple(window_features), floors)
-    )
+        Design(
+            Mahalanobis(), tuple(run_features), tuple(window_features), floors,
+            tuple(described["run_signals"]), tuple(described["window_signals"]),
+        )
+    )  # fmt: skip
+    scorer.levels_ = tuple(described["levels"])
     scorer.fold_ = np.array(described["fold"], dtype=np.intp)
     scorer.block_ = np.array(described["block"], dtype=np.int64)
     scorer.held_out_ = np.array(described["held_out"])
@@ -280,7 +315,7 @@ def _scorer(
         of_fold = RunScorer(scorer.design)
         of_fold.windows_counted_ = counted
         states = {state["level"]: state for state in models if state["fold"] == fold}
-        of_fold.models_ = {level: _restored(state, floors) for level, state in states.items()}
+        of_fold.models_ = {level: _restored(states[level], floors) for level in scorer.levels_}
         if "windows" in states:
             of_fold.reach_ = np.array(states["windows"]["reach"])
         scorer.scorers_.append(of_fold)

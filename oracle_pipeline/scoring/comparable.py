@@ -8,7 +8,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.datasets import MISSING, feature_columns, field_metadata, is_malicious
+from oracle_pipeline.datasets import (
+    MISSING,
+    feature_columns,
+    field_metadata,
+    is_malicious,
+    signal_columns,
+)
 from oracle_pipeline.scoring.feature_sets import feature_sets
 from oracle_pipeline.scoring.verdict import ScoringError
 
@@ -112,7 +118,8 @@ def same_kind(table: pd.DataFrame, columns: Sequence[str]) -> NDArray[np.bool_]:
 
 def same_recording(reference: pd.DataFrame, row: pd.DataFrame) -> NDArray[np.bool_]:
     """Return a mask of the reference runs with exactly the features of this recording."""
-    columns = [column for column in feature_columns(reference) if column in row.columns]
+    measured = [*feature_columns(reference), *signal_columns(reference)]
+    columns = [column for column in measured if column in row.columns]
     theirs, own = reference[columns].to_numpy(), row[columns].to_numpy()
     same = (theirs == own) | (np.isnan(theirs) & np.isnan(own))
     return np.asarray(same.all(axis=1), dtype=np.bool_)

@@ -56,6 +56,8 @@ class CrossConformalScorer:
         Fold in which each normal run was held out.
     block_ : ndarray of int, shape (n_runs,)
         Block of each normal run.
+    levels_ : tuple of str
+        Levels that have columns, `RunScorer.models_`.
     centre_, spread_ : ndarray of shape (n_levels,)
         Median and scaled MAD of the held-out scores, which bring the levels to one scale.
     held_out_ : ndarray of shape (n_runs,)
@@ -85,7 +87,7 @@ class CrossConformalScorer:
         DetectorError
             The detector cannot be fitted on so few runs.
         """
-        seen = runs.with_columns(self.design.run_features, self.design.window_features)
+        seen = runs.with_columns(self.design.run_columns, self.design.window_columns)
         self.block_ = runs.block
         self.fold_ = assign_folds(_split_unit(runs), self.folds, rng)
         self.scorers_ = []
@@ -102,6 +104,7 @@ class CrossConformalScorer:
                 of_windows[out[runs.run]] = scorer.alarm_scores(held_out.windows)
             self.scorers_.append(scorer)
         assert by_level is not None  # noqa: S101 -- there are at least three folds
+        self.levels_ = tuple(self.scorers_[0].models_)
         self.centre_ = np.median(by_level, axis=0)
         deviation = MAD_TO_DEVIATION * np.median(np.abs(by_level - self.centre_), axis=0)
         self.spread_ = np.where(deviation > 0.0, deviation, 1.0)
@@ -116,8 +119,15 @@ class CrossConformalScorer:
 
         The unit is the spread of held-out normal runs; 0 is their median. Higher is more anomalous.
         """
-        seen = runs.with_columns(self.design.run_features, self.design.window_features)
+        seen = runs.with_columns(self.design.run_columns, self.design.window_columns)
         return np.stack([self._combined(scorer.score(seen)) for scorer in self.scorers_])
+
+    def by_level(self, runs: MeasuredRuns) -> dict[str, NDArray[np.float64]]:
+        """Return each run's score in each level, shape (n_runs,): the median over the folds."""
+        seen = runs.with_columns(self.design.run_columns, self.design.window_columns)
+        of_folds = np.stack([scorer.score(seen) for scorer in self.scorers_])
+        standard = (np.median(of_folds, axis=0) - self.centre_) / self.spread_
+        return dict(zip(self.levels_, standard.T, strict=True))
 
     def p_values(
         self, scores: NDArray[np.float64], block: NDArray[np.int64] | None = None

@@ -281,8 +281,8 @@ def _measured(tables: FeatureTables, card: ReferenceCard) -> MeasuredRuns:
     design = card.scorer.design
     if design.window_features and tables.windows.empty:
         raise ScoringError("The recording is too short to judge: it has no window of 5 s.")
-    run = tables.run.reindex(columns=["run_id", "block", *design.run_features])
-    windows = tables.windows.reindex(columns=["run_id", "window_start_s", *design.window_features])
+    run = tables.run.reindex(columns=["run_id", "block", *design.run_columns])
+    windows = tables.windows.reindex(columns=["run_id", "window_start_s", *design.window_columns])
     if windows.empty:
         windows = pd.DataFrame({"run_id": run["run_id"], "window_start_s": 0.0})
     return MeasuredRuns.ordered(run, windows)

@@ -7,7 +7,12 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from oracle_pipeline.datasets import feature_columns, feature_floors, is_malicious
+from oracle_pipeline.datasets import (
+    feature_columns,
+    feature_floors,
+    is_malicious,
+    signal_columns,
+)
 from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.card import ReferenceCard
@@ -21,6 +26,7 @@ from oracle_pipeline.scoring.run_scorer import Design
 from oracle_pipeline.scoring.verdict import ScoringError
 
 SEED = 0  # of the folds
+COMMON_SIGNAL = 0.8  # least share of the rows in which a signal is, to be compared
 WINDOWS_UNKNOWN = (
     "The reference has no features of windows, so only whole recordings are compared: a short "
     "attack in a long recording may be missed. Use a table with windows.parquet beside it."
@@ -94,12 +100,21 @@ def design(runs: MeasuredRuns, features: str = "all") -> Design:
     if not columns:
         raise ScoringError("The normal runs have no feature with a value; extract them again.")
     of_windows = set(feature_columns(runs.windows))
+    tables = (runs.features, runs.windows) if features == "all" else ()
     return Design(
         panel(SEED)[DEFAULT_DETECTOR],
         tuple(columns),
         tuple(column for column in columns if column in of_windows),
         feature_floors(runs.features),
+        *(common_signals(table) for table in tables),
     )
+
+
+def common_signals(table: pd.DataFrame) -> tuple[str, ...]:
+    """Return the columns of signals that nearly all rows have."""
+    columns = signal_columns(table)
+    given = np.isfinite(table[columns].to_numpy(dtype=np.float64)).mean(axis=0)
+    return tuple(c for c, share in zip(columns, given, strict=True) if share >= COMMON_SIGNAL)
 
 
 class Cards:

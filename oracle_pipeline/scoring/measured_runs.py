@@ -11,7 +11,6 @@ from oracle_pipeline.datasets import (
     MISSING,
     WHERE,
     DatasetError,
-    feature_columns,
     is_malicious,
 )
 
@@ -57,8 +56,7 @@ class MeasuredRuns:
 
         Selecting runs then copies less.
         """
-        features = set(feature_columns(self.features))
-        keys = [column for column in self.features.columns if column not in features]
+        keys = [column for column in self.features.columns if "." not in column]
         return MeasuredRuns(
             self.features[[*keys, *of_runs]], self.windows[list(of_windows)], self.run
         )

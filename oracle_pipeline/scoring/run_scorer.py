@@ -1,7 +1,8 @@
-"""Scores of a run: by its own features, and by those of its most unusual windows.
+"""Scores of a run: by its features, by its signals, and by those of its most unusual windows.
 
-These are two levels with a score each. ``oracle_pipeline.scoring.cross_conformal`` combines them
-into one score and a p-value.
+These are levels with a score each. ``oracle_pipeline.scoring.cross_conformal`` combines them into
+one score and a p-value. Features are known quantities; signals are the numbers of any robot. Those
+count by their largest distance of any topic, and by the distance over all topics.
 
 A window also has a score of its own for alarms: how far its most unusual features are beyond what
 normal windows reach. In a distance over all features, the few that a short attack changes are lost
@@ -18,10 +19,12 @@ from numpy.typing import NDArray
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 
-from oracle_pipeline.detectors import Detector, pipeline
+from oracle_pipeline.clustering.scaling import FlooredRobustScaler
+from oracle_pipeline.datasets import topic_of_signal
+from oracle_pipeline.detectors import Detector, LargestGroup, pipeline
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
-LEVELS = ("run", "windows")
+OF_WINDOWS = ("windows", "signal windows")  # levels of windows; all others are of whole runs
 TOP_WINDOWS = 6  # number of highest window scores that are averaged for a run
 TOP_FEATURES = 3  # number of a window's most unusual features that are averaged for alarms
 LEAST_REACH = 3.0  # smallest distance that normal windows are taken to reach [scales]
@@ -40,12 +43,36 @@ class Design:
         Columns of the run table and of the window table. Either may be empty, but not both.
     floors : mapping of str to float
         Resolution of a column, in its unit.
+    run_signals, window_signals : sequence of str
+        Columns of signals, of both tables.
     """
 
     detector: Detector
     run_features: Sequence[str]
     window_features: Sequence[str]
     floors: Mapping[str, float]
+    run_signals: Sequence[str] = ()
+    window_signals: Sequence[str] = ()
+
+    @property
+    def run_columns(self) -> list[str]:
+        """All columns of the run table."""
+        return [*self.run_features, *self.run_signals]
+
+    @property
+    def window_columns(self) -> list[str]:
+        """All columns of the window table."""
+        return [*self.window_features, *self.window_signals]
+
+    def columns(self, level: str) -> Sequence[str]:
+        """Return the columns of a level of `RunScorer.models_`."""
+        return {
+            "run": self.run_features,
+            "windows": self.window_features,
+            "signals": self.run_signals,
+            "topics": self.run_signals,
+            "signal windows": self.window_signals,
+        }[level]
 
 
 class RunScorer:
@@ -58,7 +85,8 @@ class RunScorer:
     Attributes
     ----------
     models_ : dict of str to Pipeline
-        A fitted scaler and detector for each level that has features.
+        A fitted scaler and detector for each level that has columns: ``run`` and ``windows`` of
+        features; ``signals``, ``topics`` and ``signal windows`` of signals.
     reach_ : ndarray of shape (n_columns,)
         Largest distance of each scaled column of windows from 0 in the fitted runs, at least
         `LEAST_REACH` [scales]; only if windows have features.
@@ -81,28 +109,30 @@ class RunScorer:
         design = self.design
         self.windows_counted_ = common_length(runs.counts)
         self.models_: dict[str, Pipeline] = {}
-        for level, table, columns in (
-            ("run", runs.features, design.run_features),
-            ("windows", runs.windows, design.window_features),
-        ):
-            if columns:
+        for level, table in (("run", runs.features), ("windows", runs.windows)):
+            if columns := design.columns(level):
                 model = pipeline(clone(design.detector), design.floors)
                 self.models_[level] = model.fit(_select(table, columns))
+        for level, table in (
+            ("signals", runs.features), ("topics", runs.features), ("signal windows", runs.windows),
+        ):  # fmt: skip
+            if columns := design.columns(level):
+                seen = _select(table, columns)
+                self.models_[level] = _of_signals(seen, design.floors, by_topic=level != "signals")
         if design.window_features:
             self.reach_ = np.maximum(self._distances(runs.windows).max(axis=0), LEAST_REACH)
         return self
 
     def score(self, runs: MeasuredRuns) -> NDArray[np.float64]:
-        """Return the scores of each run, shape (n_runs, n_levels)."""
+        """Return the scores of each run, shape (n_runs, n_levels), in the order of `models_`."""
         scores = []
         for level, model in self.models_.items():
-            if level == "run":
-                seen = _select(runs.features, self.design.run_features)
-                scores.append(-model.score_samples(seen))
-            else:
-                scores.append(
-                    top_windows(self.score_windows(runs.windows), runs, self.windows_counted_)
-                )
+            is_of_windows = level in OF_WINDOWS
+            table = runs.windows if is_of_windows else runs.features
+            of_rows = -model.score_samples(_select(table, self.design.columns(level)))
+            if is_of_windows:
+                of_rows = top_windows(of_rows, runs, self.windows_counted_)
+            scores.append(of_rows)
         return np.column_stack(scores)
 
     def score_windows(self, windows: pd.DataFrame) -> NDArray[np.float64]:
@@ -124,6 +154,14 @@ class RunScorer:
         """Return the distances of the scaled columns from 0, shape (n_windows, n_columns)."""
         seen = _select(windows, self.design.window_features)
         return np.asarray(np.abs(self.models_["windows"][0].transform(seen)), dtype=np.float64)
+
+
+def _of_signals(table: pd.DataFrame, floors: Mapping[str, float], *, by_topic: bool) -> Pipeline:
+    """Return a scaler and a detector of signals that are fitted on a table of them."""
+    scaler = FlooredRobustScaler(floors).fit(table)
+    columns = [*scaler.kept_, *scaler.indicated_]
+    detector = LargestGroup([topic_of_signal(column) for column in columns] if by_topic else None)
+    return Pipeline([("scaler", scaler), ("detector", detector.fit(scaler.transform(table)))])
 
 
 def _select(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:

@@ -1,16 +1,17 @@
 """Statistics of signals over a span of time: level, spread, range, change, and how they change."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.datasets import SIGNALS
 from oracle_pipeline.features.engine.between import between
 from oracle_pipeline.features.engine.plugin import Feature
 from oracle_pipeline.features.signals.collector import Floats, Signals
 from oracle_pipeline.features.signals.units import period_of
 
-FAMILY = "signals"
 FEWEST = 4  # numbers of a signal that has more than a level
 ROUNDING = 1e-7  # of the largest magnitude: smaller deviations are rounding errors
 FEWEST_HELD = 30  # numbers of a signal that can be said to stand still
@@ -76,24 +77,13 @@ class SignalTable:
         return values
 
 
-def topic_of(column: str) -> str:
-    """Return the topic of a signal's column.
-
-    Examples
-    --------
-    >>> topic_of("signals./odom/pose.pose.position.x.mean")
-    '/odom'
-    """
-    return column.partition(".")[2].rpartition("/")[0]
-
-
 def _column(topic: str, name: str, statistic: str) -> str:
-    return f"{FAMILY}.{topic}/{name}.{statistic}"
+    return f"{SIGNALS}{topic}/{name}.{statistic}"
 
 
 def _feature(name: str, statistic: str, unit: str) -> Feature:
     if statistic in _IN_UNIT:
-        return Feature(name, unit, 0.0, f"{_IN_UNIT[statistic]} of the field")
+        return Feature(name, unit, math.nan, f"{_IN_UNIT[statistic]} of the field")
     words, floor = _PURE[statistic]
     return Feature(name, "1", floor, f"{words}, of the field")
 

@@ -1,0 +1,96 @@
+"""Distance of a run in the group of columns where it is most unusual.
+
+With hundreds of columns and ten runs, a change of one signal is lost in the distance over all of
+them. Its topic has few columns, so there it stands out.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.covariance import ledoit_wolf_shrinkage
+
+from oracle_pipeline.detectors.base import OwnDetector
+
+MOST_COMPONENTS = 30  # directions of a group whose variances are kept
+_LEAST_NOISE = 0.05  # variance in any other direction; rows are z-scores
+_LEAST_TYPICAL = 1.0  # distance that a group without variance is compared with
+
+
+class LargestGroup(OwnDetector):
+    """The largest distance over groups of columns, each in units of a typical normal one.
+
+    The distance is Mahalanobis's in a covariance that is shrunk after Ledoit and Wolf, of which the
+    largest `MOST_COMPONENTS` directions are kept; it needs no more rows than columns.
+
+    Parameters
+    ----------
+    groups : sequence of str, optional
+        Group of each column; by default all are one group.
+
+    Attributes
+    ----------
+    location_ : ndarray of shape (n_features,)
+    components_, variances_ : list of ndarray, shape (k, n_columns) and (k,)
+        Directions of each group, and the shrunk variances in them.
+    noise_, typical_ : ndarray of shape (n_groups,)
+        Variance in all other directions, and median distance of the fitted rows.
+    """
+
+    def __init__(self, groups: Sequence[str] | None = None) -> None:
+        self.groups = groups
+
+    def _learn(self, X: NDArray[np.float64]) -> None:
+        self.location_ = X.mean(axis=0)
+        found = [
+            _shrunk(X[:, columns] - self.location_[columns])
+            for columns in self._columns(X.shape[1])
+        ]
+        self.components_ = [components for components, _, _ in found]
+        self.variances_ = [variances for _, variances, _ in found]
+        self.noise_ = np.array([noise for _, _, noise in found])
+        self.typical_ = np.ones(len(found))
+        typical = np.median(self._by_group(X), axis=0)
+        self.typical_ = np.maximum(typical, _LEAST_TYPICAL)
+
+    def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(self._by_group(X).max(axis=1), dtype=np.float64)
+
+    def _by_group(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the distance of each row in each group, shape (n_rows, n_groups)."""
+        squared = []
+        for columns, components, variances, noise in zip(
+            self._columns(X.shape[1]), self.components_, self.variances_, self.noise_, strict=True
+        ):
+            deviation = X[:, columns] - self.location_[columns]
+            along = (deviation @ components.T) ** 2
+            beside = np.maximum((deviation**2).sum(axis=1) - along.sum(axis=1), 0.0)
+            squared.append(beside / noise + (along / variances).sum(axis=1))
+        return np.asarray(np.sqrt(np.column_stack(squared)) / self.typical_, dtype=np.float64)
+
+    def sizes(self, n_features: int) -> list[int]:
+        """Return the number of columns of each group."""
+        return [len(columns) for columns in self._columns(n_features)]
+
+    def _columns(self, n_features: int) -> list[NDArray[np.intp]]:
+        if self.groups is None:
+            return [np.arange(n_features)]
+        groups = np.asarray(self.groups)
+        return [np.flatnonzero(groups == name) for name in np.unique(groups)]
+
+
+def _shrunk(
+    centred: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Return directions, the variances in them, and the variance in all others."""
+    count, columns = centred.shape
+    weight = float(ledoit_wolf_shrinkage(centred, assume_centered=True))
+    _, singular, directions = np.linalg.svd(centred, full_matrices=False)
+    variances = singular**2 / count
+    kept = min(MOST_COMPONENTS, count - 1, columns)
+    base = weight * float(variances.sum()) / columns
+    others = columns - kept
+    beside = (1.0 - weight) * float(variances[kept:].sum()) / others if others else 0.0
+    noise = max(base + beside, _LEAST_NOISE)
+    components = directions[:kept].astype(np.float32).astype(np.float64)  # as a card stores them
+    return components, np.maximum((1.0 - weight) * variances[:kept] + base, noise), noise
