@@ -13,6 +13,7 @@ from oracle_pipeline.datasets import (
     WINDOW_START,
     feature_columns,
     field_metadata,
+    signal_columns,
 )
 
 _PLAIN_UNIT = "1"  # of a share, a ratio or a count
@@ -43,7 +44,8 @@ def _features(name: str, rows: pd.DataFrame) -> Iterator[str]:
     columns = feature_columns(rows)
     computed = [column for column in columns if rows[column].notna().any()]
     windows = f" in {len(rows)} windows of 5 s" if of_windows else ""
-    yield f"{name}: {len(computed)} of {len(columns)} features{windows}"
+    signals = len({column.rpartition(".")[0] for column in signal_columns(rows)})
+    yield f"{name}: {len(computed)} of {len(columns)} features, {signals} signals{windows}"
     where = json.loads(rows[WHERE].iloc[0])
     lines: list[tuple[str, ...]]
     if of_windows:

@@ -1,16 +1,16 @@
 """Collects the signals of a recording while its bag is read for the features."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.typesys.store import Typestore
 
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import LARGEST_DECODED
 from oracle_pipeline.bags.merging import Messages, Rows
-from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.bags.reader import BagReader, Topic
 from oracle_pipeline.features.engine.columns import Batch
 from oracle_pipeline.features.signals.fields import Numbers, numbers_of
 
@@ -38,12 +38,13 @@ class Signals(NamedTuple):
 class _Topic:
     """The messages of one topic that wait to be decoded, and the numbers of the decoded ones."""
 
-    def __init__(self, msgtype: str, store: Typestore, count: int, *, is_cdr: bool) -> None:
-        self._msgtype = msgtype
-        self._store = store
-        self._is_cdr = is_cdr
-        self._every = max(1, -(-count // MOST_MESSAGES))
-        self._count = count
+    def __init__(self, bag: BagReader, topic: Topic) -> None:
+        self._msgtype = topic.msgtype
+        self._store = bag.typestore(topic.msgtype)
+        self._decode = bag.decoder(topic.name)
+        self._is_cdr = topic.encoding != "ros1"
+        self._every = max(1, -(-topic.count // MOST_MESSAGES))
+        self._count = topic.count
         self._passed = 0
         self._waiting: list[bytes] = []
         self._rows: list[int] = []
@@ -66,18 +67,39 @@ class _Topic:
             self.decode()
 
     def decode(self) -> None:
-        """Decode the messages that wait; those that are not whole are left out."""
+        """Decode the messages that wait; those that are broken are left out."""
         if not self._waiting:
             return
         batch = Batch(self._waiting, self._store, self._msgtype, is_cdr=self._is_cdr)
-        rows, whole = np.array(self._rows, dtype=np.int64), np.flatnonzero(batch.whole)
+        rows, whole = np.array(self._rows, dtype=np.int64), batch.whole
         self._tried += len(rows)
-        self._whole += len(whole)
-        if len(whole):
-            some = batch if len(whole) == len(rows) else batch.some(whole)
-            for each in numbers_of(some.columns(), self._store, self._msgtype, MOST_OF_TOPIC):
-                self.found.append(each._replace(rows=rows[whole][each.rows]))
+        if whole.all():
+            self._take(rows, batch)
+        else:
+            self._take(rows[whole], batch.some(np.flatnonzero(whole)))
+            self._take(*self._written_again(rows[~whole], batch.some(np.flatnonzero(~whole))))
         self._waiting, self._rows, self._held = [], [], 0
+
+    def _written_again(self, rows: Rows, batch: Batch) -> tuple[Rows, Batch]:
+        """Return the messages in our encoding that were in another one, and are not broken."""
+        written, good = [], []
+        for row, data in zip(rows.tolist(), batch.data, strict=True):
+            try:
+                content = self._decode(data)
+                written.append(bytes(self._store.serialize_cdr(content, self._msgtype)))
+            except Exception:  # noqa: S112 -- of a generated encoder, too; `is_sound` counts them
+                continue
+            good.append(row)
+        again = Batch(written, self._store, self._msgtype, is_cdr=True)
+        return np.array(good, dtype=np.int64), again
+
+    def _take(self, rows: Rows, batch: Batch) -> None:
+        """Keep the numbers of whole messages."""
+        self._whole += len(rows)
+        if len(rows):
+            columns = batch.columns()
+            for each in numbers_of(columns, self._store, self._msgtype, MOST_OF_TOPIC):
+                self.found.append(each._replace(rows=rows[each.rows]))
 
     @property
     def is_sound(self) -> bool:
@@ -107,12 +129,8 @@ class SignalCollector:
         for number, topic in enumerate(bag.topics.values()):
             if topic.msgtype.startswith(_OF_THE_MIDDLEWARE):
                 continue
-            try:
-                store = bag.typestore(topic.msgtype)
-            except BagError:
-                continue
-            is_cdr = topic.encoding != "ros1"
-            self._topics[number] = _Topic(topic.msgtype, store, topic.count, is_cdr=is_cdr)
+            with suppress(BagError):  # the features note topics of unknown types
+                self._topics[number] = _Topic(bag, topic)
 
     def see(self, batch: Messages) -> None:
         """Take the numbers of the next messages of the bag."""
