@@ -77,7 +77,7 @@ class _Row:
 
     def add_signals(self, table: SignalTable, span: Span, *, per_window: bool = False) -> None:
         """Store the statistics of signals, without reasons for those that are missing."""
-        self.values |= table.values(span.start_ns, span.end_ns, per_window=per_window)
+        self.values |= table.values(span, per_window=per_window)
 
 
 def extract(

@@ -303,6 +303,7 @@ def _scorer(
         Design(
             Mahalanobis(), tuple(run_features), tuple(window_features), floors,
             tuple(described["run_signals"]), tuple(described["window_signals"]),
+            tuple(described["levels"]),
         )
     )  # fmt: skip
     scorer.levels_ = tuple(described["levels"])
@@ -315,7 +316,7 @@ def _scorer(
         of_fold = RunScorer(scorer.design)
         of_fold.windows_counted_ = counted
         states = {state["level"]: state for state in models if state["fold"] == fold}
-        of_fold.models_ = {level: _restored(states[level], floors) for level in scorer.levels_}
+        of_fold.models_ = {level: _restored(state, floors) for level, state in states.items()}
         if "windows" in states:
             of_fold.reach_ = np.array(states["windows"]["reach"])
         scorer.scorers_.append(of_fold)

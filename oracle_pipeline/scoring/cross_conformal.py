@@ -57,7 +57,7 @@ class CrossConformalScorer:
     block_ : ndarray of int, shape (n_runs,)
         Block of each normal run.
     levels_ : tuple of str
-        Levels that have columns, `RunScorer.models_`.
+        Levels of the score, `RunScorer.levels`.
     centre_, spread_ : ndarray of shape (n_levels,)
         Median and scaled MAD of the held-out scores, which bring the levels to one scale.
     held_out_ : ndarray of shape (n_runs,)
@@ -104,7 +104,7 @@ class CrossConformalScorer:
                 of_windows[out[runs.run]] = scorer.alarm_scores(held_out.windows)
             self.scorers_.append(scorer)
         assert by_level is not None  # noqa: S101 -- there are at least three folds
-        self.levels_ = tuple(self.scorers_[0].models_)
+        self.levels_ = self.scorers_[0].levels
         self.centre_ = np.median(by_level, axis=0)
         deviation = MAD_TO_DEVIATION * np.median(np.abs(by_level - self.centre_), axis=0)
         self.spread_ = np.where(deviation > 0.0, deviation, 1.0)

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -10,6 +11,7 @@ from threadpoolctl import threadpool_limits
 from oracle_pipeline.datasets import (
     feature_columns,
     feature_floors,
+    field_metadata,
     is_malicious,
     signal_columns,
 )
@@ -22,10 +24,16 @@ from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.feature_sets import ASPECTS, feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.reference import Reference
-from oracle_pipeline.scoring.run_scorer import Design
+from oracle_pipeline.scoring.run_scorer import (
+    OF_FEATURES,
+    OF_SIGNALS,
+    Design,
+    common_length,
+)
 from oracle_pipeline.scoring.verdict import ScoringError
 
 SEED = 0  # of the folds
+LONG = 20  # windows of a recording; in a shorter one, signals of the whole show a short fault
 COMMON_SIGNAL = 0.8  # least share of the rows in which a signal is, to be compared
 WINDOWS_UNKNOWN = (
     "The reference has no features of windows, so only whole recordings are compared: a short "
@@ -100,13 +108,31 @@ def design(runs: MeasuredRuns, features: str = "all") -> Design:
     if not columns:
         raise ScoringError("The normal runs have no feature with a value; extract them again.")
     of_windows = set(feature_columns(runs.windows))
-    tables = (runs.features, runs.windows) if features == "all" else ()
-    return Design(
+    of_features = Design(
         panel(SEED)[DEFAULT_DETECTOR],
         tuple(columns),
         tuple(column for column in columns if column in of_windows),
         feature_floors(runs.features),
-        *(common_signals(table) for table in tables),
+    )
+    return _with_signals(of_features, runs) if features == "all" else of_features
+
+
+def _with_signals(of_features: Design, runs: MeasuredRuns) -> Design:
+    """Return a design with signals, and without features that know only the recorder.
+
+    Features of any bag measure bytes and rates. Signals tell more about a robot that has no other
+    features: they have every number, and the time between messages.
+    """
+    run_signals = common_signals(runs.features)
+    if not run_signals:
+        return of_features
+    fields = field_metadata(runs.features)
+    knows_robot = any(fields[c].get("origin") != "generic" for c in of_features.run_features)
+    is_long = common_length(runs.counts) >= LONG
+    levels = (*(OF_FEATURES if knows_robot else ()), *OF_SIGNALS[: 3 if is_long else 2])
+    window_signals = common_signals(runs.windows) if is_long else ()
+    return replace(
+        of_features, run_signals=run_signals, window_signals=window_signals, levels=levels
     )
 
 

@@ -22,7 +22,7 @@ from oracle_pipeline.scoring.comparable import join_first
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.isolation import extract_isolated
 from oracle_pipeline.scoring.verdict import ScoringError
-from oracle_pipeline.windows import MIN_WINDOW_S
+from oracle_pipeline.windows import SHORTEST_S
 
 WINDOWS_FILE = "windows.parquet"  # beside the table of the runs, as feature_dataset writes both
 
@@ -120,7 +120,7 @@ def _extracted(
         robots = [each for each in robots if len(each.tables.windows)]
         if not robots:
             notes.append(
-                f"{path} is left out of the reference: it is shorter than {MIN_WINDOW_S:g} s, and "
+                f"{path} is left out of the reference: it is shorter than {SHORTEST_S:g} s, and "
                 "has no window."
             )
             continue

@@ -24,6 +24,8 @@ from oracle_pipeline.datasets import topic_of_signal
 from oracle_pipeline.detectors import Detector, LargestGroup, pipeline
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
+OF_FEATURES = ("run", "windows")
+OF_SIGNALS = ("signals", "topics", "signal windows")
 OF_WINDOWS = ("windows", "signal windows")  # levels of windows; all others are of whole runs
 TOP_WINDOWS = 6  # number of highest window scores that are averaged for a run
 TOP_FEATURES = 3  # number of a window's most unusual features that are averaged for alarms
@@ -45,6 +47,8 @@ class Design:
         Resolution of a column, in its unit.
     run_signals, window_signals : sequence of str
         Columns of signals, of both tables.
+    levels : sequence of str
+        Levels of the score, those without columns left out.
     """
 
     detector: Detector
@@ -53,6 +57,7 @@ class Design:
     floors: Mapping[str, float]
     run_signals: Sequence[str] = ()
     window_signals: Sequence[str] = ()
+    levels: Sequence[str] = OF_FEATURES
 
     @property
     def run_columns(self) -> list[str]:
@@ -65,14 +70,10 @@ class Design:
         return [*self.window_features, *self.window_signals]
 
     def columns(self, level: str) -> Sequence[str]:
-        """Return the columns of a level of `RunScorer.models_`."""
-        return {
-            "run": self.run_features,
-            "windows": self.window_features,
-            "signals": self.run_signals,
-            "topics": self.run_signals,
-            "signal windows": self.window_signals,
-        }[level]
+        """Return the columns of a level."""
+        if level in OF_SIGNALS:
+            return self.window_signals if level in OF_WINDOWS else self.run_signals
+        return self.window_features if level in OF_WINDOWS else self.run_features
 
 
 class RunScorer:
@@ -85,8 +86,7 @@ class RunScorer:
     Attributes
     ----------
     models_ : dict of str to Pipeline
-        A fitted scaler and detector for each level that has columns: ``run`` and ``windows`` of
-        features; ``signals``, ``topics`` and ``signal windows`` of signals.
+        A fitted scaler and detector for each level that has columns.
     reach_ : ndarray of shape (n_columns,)
         Largest distance of each scaled column of windows from 0 in the fitted runs, at least
         `LEAST_REACH` [scales]; only if windows have features.
@@ -109,31 +109,31 @@ class RunScorer:
         design = self.design
         self.windows_counted_ = common_length(runs.counts)
         self.models_: dict[str, Pipeline] = {}
-        for level, table in (("run", runs.features), ("windows", runs.windows)):
+        for level in dict.fromkeys((*design.levels, *OF_FEATURES)):  # alarms need those of windows
             if columns := design.columns(level):
-                model = pipeline(clone(design.detector), design.floors)
-                self.models_[level] = model.fit(_select(table, columns))
-        for level, table in (
-            ("signals", runs.features), ("topics", runs.features), ("signal windows", runs.windows),
-        ):  # fmt: skip
-            if columns := design.columns(level):
-                seen = _select(table, columns)
-                self.models_[level] = _of_signals(seen, design.floors, by_topic=level != "signals")
+                table = runs.windows if level in OF_WINDOWS else runs.features
+                self.models_[level] = self._fitted(level, _select(table, columns))
         if design.window_features:
             self.reach_ = np.maximum(self._distances(runs.windows).max(axis=0), LEAST_REACH)
         return self
 
     def score(self, runs: MeasuredRuns) -> NDArray[np.float64]:
-        """Return the scores of each run, shape (n_runs, n_levels), in the order of `models_`."""
+        """Return the scores of each run, shape (n_runs, n_levels), in the order of `levels`."""
         scores = []
-        for level, model in self.models_.items():
+        for level in self.levels:
             is_of_windows = level in OF_WINDOWS
             table = runs.windows if is_of_windows else runs.features
-            of_rows = -model.score_samples(_select(table, self.design.columns(level)))
+            seen = _select(table, self.design.columns(level))
+            of_rows = -self.models_[level].score_samples(seen)
             if is_of_windows:
                 of_rows = top_windows(of_rows, runs, self.windows_counted_)
             scores.append(of_rows)
         return np.column_stack(scores)
+
+    @property
+    def levels(self) -> tuple[str, ...]:
+        """The levels that have columns, in order."""
+        return tuple(level for level in self.design.levels if level in self.models_)
 
     def score_windows(self, windows: pd.DataFrame) -> NDArray[np.float64]:
         """Return the score of each row of a window table, shape (n_windows,)."""
@@ -150,18 +150,19 @@ class RunScorer:
         highest = -np.sort(-distances, axis=1)[:, :TOP_FEATURES]
         return np.asarray(highest.mean(axis=1), dtype=np.float64)
 
+    def _fitted(self, level: str, table: pd.DataFrame) -> Pipeline:
+        """Return the scaler and the detector of a level, fitted on a table with its columns."""
+        if level in OF_FEATURES:
+            return pipeline(clone(self.design.detector), self.design.floors).fit(table)
+        scaler = FlooredRobustScaler(self.design.floors).fit(table)
+        topics = [topic_of_signal(column) for column in (*scaler.kept_, *scaler.indicated_)]
+        detector = LargestGroup(None if level == "signals" else topics)
+        return Pipeline([("scaler", scaler), ("detector", detector.fit(scaler.transform(table)))])
+
     def _distances(self, windows: pd.DataFrame) -> NDArray[np.float64]:
         """Return the distances of the scaled columns from 0, shape (n_windows, n_columns)."""
         seen = _select(windows, self.design.window_features)
         return np.asarray(np.abs(self.models_["windows"][0].transform(seen)), dtype=np.float64)
-
-
-def _of_signals(table: pd.DataFrame, floors: Mapping[str, float], *, by_topic: bool) -> Pipeline:
-    """Return a scaler and a detector of signals that are fitted on a table of them."""
-    scaler = FlooredRobustScaler(floors).fit(table)
-    columns = [*scaler.kept_, *scaler.indicated_]
-    detector = LargestGroup([topic_of_signal(column) for column in columns] if by_topic else None)
-    return Pipeline([("scaler", scaler), ("detector", detector.fit(scaler.transform(table)))])
 
 
 def _select(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:

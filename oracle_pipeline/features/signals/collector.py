@@ -11,7 +11,7 @@ from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import LARGEST_DECODED
 from oracle_pipeline.bags.merging import Messages, Rows
 from oracle_pipeline.bags.reader import BagReader, Topic
-from oracle_pipeline.features.engine.columns import Batch
+from oracle_pipeline.features.engine.columns import SerializedMessages
 from oracle_pipeline.features.signals.fields import Numbers, numbers_of
 
 MOST_OF_TOPIC = 48  # signals of one topic
@@ -70,7 +70,7 @@ class _Topic:
         """Decode the messages that wait; those that are broken are left out."""
         if not self._waiting:
             return
-        batch = Batch(self._waiting, self._store, self._msgtype, is_cdr=self._is_cdr)
+        batch = SerializedMessages(self._waiting, self._store, self._msgtype, is_cdr=self._is_cdr)
         rows, whole = np.array(self._rows, dtype=np.int64), batch.whole
         self._tried += len(rows)
         if whole.all():
@@ -80,7 +80,9 @@ class _Topic:
             self._take(*self._written_again(rows[~whole], batch.some(np.flatnonzero(~whole))))
         self._waiting, self._rows, self._held = [], [], 0
 
-    def _written_again(self, rows: Rows, batch: Batch) -> tuple[Rows, Batch]:
+    def _written_again(
+        self, rows: Rows, batch: SerializedMessages
+    ) -> tuple[Rows, SerializedMessages]:
         """Return the messages in our encoding that were in another one, and are not broken."""
         written, good = [], []
         for row, data in zip(rows.tolist(), batch.data, strict=True):
@@ -90,10 +92,10 @@ class _Topic:
             except Exception:  # noqa: S112 -- of a generated encoder, too; `is_sound` counts them
                 continue
             good.append(row)
-        again = Batch(written, self._store, self._msgtype, is_cdr=True)
+        again = SerializedMessages(written, self._store, self._msgtype, is_cdr=True)
         return np.array(good, dtype=np.int64), again
 
-    def _take(self, rows: Rows, batch: Batch) -> None:
+    def _take(self, rows: Rows, batch: SerializedMessages) -> None:
         """Keep the numbers of whole messages."""
         self._whole += len(rows)
         if len(rows):
@@ -125,6 +127,7 @@ class SignalCollector:
         self.notes: list[str] = []
         self._names = list(bag.topics)
         self._first = 0  # number of the next batch's first message
+        self._numbers: dict[int, list[Rows]] = {}  # of the messages of each topic
         self._topics: dict[int, _Topic] = {}
         for number, topic in enumerate(bag.topics.values()):
             if topic.msgtype.startswith(_OF_THE_MIDDLEWARE):
@@ -135,6 +138,7 @@ class SignalCollector:
     def see(self, batch: Messages) -> None:
         """Take the numbers of the next messages of the bag."""
         for number, rows in batch.by_topic():
+            self._numbers.setdefault(number, []).append(self._first + rows)
             if number in self._topics:
                 self._topics[number].add(batch, rows, self._first)
         self._first += len(batch.topics)
@@ -150,21 +154,29 @@ class SignalCollector:
         found: list[Signals] = []
         left = MOST_SIGNALS
         cut: list[str] = []
-        for number in sorted(self._topics, key=self._names.__getitem__):
-            topic = self._topics[number]
-            topic.decode()
-            for numbers in _joined(topic.found) if topic.is_sound else ():
+        for number in sorted(self._numbers, key=self._names.__getitem__):
+            for numbers in self._decoded(number):
                 if len(numbers.names) > left:
                     cut.append(self._names[number])
                     continue
                 left -= len(numbers.names)
                 found.append(_in_time(self._names[number], numbers, times_ns))
+            if of_topic := self._numbers.get(number):
+                found.append(_periods(self._names[number], times_ns[np.concatenate(of_topic)]))
         if cut:
             self.notes.append(
                 f"The recording has more than {MOST_SIGNALS} signals; those of "
                 f"{', '.join(dict.fromkeys(cut))} are left out."
             )
         return found
+
+    def _decoded(self, number: int) -> Iterator[Numbers]:
+        """Yield the numbers in the messages of a topic; none if its type is unknown or wrong."""
+        topic = self._topics.get(number)
+        if topic is not None:
+            topic.decode()
+            if topic.is_sound:
+                yield from _joined(topic.found)
 
 
 def _joined(parts: list[Numbers]) -> Iterator[Numbers]:
@@ -178,6 +190,12 @@ def _joined(parts: list[Numbers]) -> Iterator[Numbers]:
             seen.update(names)
             rows = np.concatenate([each.rows for each in some])
             yield Numbers(names, some[0].units, rows, np.concatenate([s.values for s in some]))
+
+
+def _periods(topic: str, times_ns: NDArray[np.int64]) -> Signals:
+    """Return the time between the messages of a topic as a signal [s]."""
+    in_order = np.sort(times_ns)
+    return Signals(topic, ("period",), ("s",), in_order[1:], np.diff(in_order)[:, None] * 1e-9)
 
 
 def _in_time(topic: str, numbers: Numbers, times_ns: NDArray[np.int64]) -> Signals:

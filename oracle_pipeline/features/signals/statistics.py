@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.datasets import SIGNALS
-from oracle_pipeline.features.engine.between import between
 from oracle_pipeline.features.engine.plugin import Feature
+from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.signals.collector import Floats, Signals
 from oracle_pipeline.features.signals.units import period_of
 
@@ -63,12 +63,12 @@ class SignalTable:
             if column.rpartition(".")[2] in OF_WINDOW
         }
 
-    def values(self, start_ns: int, end_ns: int, *, per_window: bool = False) -> dict[str, float]:
+    def values(self, span: Span, *, per_window: bool = False) -> dict[str, float]:
         """Return the statistics of a span by column; NaN where a signal has too few numbers."""
         wanted = OF_WINDOW if per_window else OF_RUN
         values = {}
         for each, periods in zip(self._signals, self._periods, strict=True):
-            part = slice(*between(each.times_ns, start_ns, end_ns))
+            part = span.slice_of(each.times_ns)
             found = _within_a_turn(_statistics(each.values[part]), periods)
             for name, row in zip(each.names, found.T.tolist(), strict=True):
                 for statistic, value in zip(OF_RUN, row, strict=True):
