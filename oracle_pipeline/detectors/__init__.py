@@ -13,7 +13,7 @@ from oracle_pipeline.detectors.explain import (
     by_family,
     explain,
 )
-from oracle_pipeline.detectors.groups import LargestGroup
+from oracle_pipeline.detectors.groups import LargestGroup, SignalScaler
 from oracle_pipeline.detectors.panel import DEFAULT_DETECTOR, panel, pipeline, upper_bounds
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "FamilyDeviation",
     "LargestGroup",
     "Mahalanobis",
+    "SignalScaler",
     "UsualRanges",
     "by_family",
     "explain",

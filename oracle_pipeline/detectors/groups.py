@@ -5,16 +5,50 @@ them. Its topic has few columns, so there it stands out.
 """
 
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from sklearn.covariance import ledoit_wolf_shrinkage
 
+from oracle_pipeline.clustering.scaling import CLIP, ROUNDING_FLOOR, FlooredRobustScaler
 from oracle_pipeline.detectors.base import OwnDetector
 
 MOST_COMPONENTS = 30  # directions of a group whose variances are kept
+LEAST_SHARE = 0.5  # of the standard deviation: smallest scale
+OF_CONSTANT = 5.0  # scales that a change of a constant counts for
 _LEAST_NOISE = 0.05  # variance in any other direction; rows are z-scores
 _LEAST_TYPICAL = 1.0  # distance that a group without variance is compared with
+
+
+class SignalScaler(FlooredRobustScaler):
+    """Scale statistics of signals, of which there are hundreds, and few recordings.
+
+    The scale is at least half of the standard deviation, since MAD is 0 for a column that few
+    recordings change. A column that none changed has no scale: any change of it counts as
+    `OF_CONSTANT` scales, because among hundreds of such columns one changes by chance.
+
+    Attributes
+    ----------
+    is_constant_ : ndarray of bool, shape (len(kept_),)
+    """
+
+    def fit(self, X: pd.DataFrame, y: None = None) -> Self:  # noqa: ARG002  # scikit-learn passes it
+        """Learn centre and scale from the rows of `X`, shape (n_runs, n_features)."""
+        super().fit(X)
+        self.indicated_ = []
+        values = X[self.kept_].to_numpy(dtype=np.float64)
+        deviation = np.nanstd(np.where(np.isfinite(values), values, np.nan), axis=0)
+        self.is_constant_ = deviation <= ROUNDING_FLOOR * np.abs(self.center_)
+        self.scale_ = np.maximum(self.scale_, LEAST_SHARE * deviation)
+        return self
+
+    def transform(self, X: pd.DataFrame) -> NDArray[np.float64]:
+        """Return the scaled statistics, shape (n_runs, len(kept_)), 0 where they are missing."""
+        scaled = super().transform(X)
+        limit = np.where(self.is_constant_, OF_CONSTANT, CLIP)
+        return np.asarray(np.clip(scaled, -limit, limit), dtype=np.float64)
 
 
 class LargestGroup(OwnDetector):

@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 from sklearn.pipeline import Pipeline
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.clustering.scaling import FlooredRobustScaler
 from oracle_pipeline.datasets import parse_table, replacing, table_bytes
-from oracle_pipeline.detectors import LargestGroup, Mahalanobis, pipeline
+from oracle_pipeline.detectors import LargestGroup, Mahalanobis, SignalScaler
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.alarms import NormalWindows
 from oracle_pipeline.scoring.contract import Contract
@@ -45,7 +46,7 @@ _OF_WINDOWS = pa.schema(
         ("start_s", pa.list_(pa.float64())),
     ]
 )
-_OF_DETECTORS = ("precision", "groups", "components", "variances", "noise", "typical")
+_OF_DETECTORS = ("precision", "constant", "groups", "components", "variances", "noise", "typical")
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # fixed, so that the same card gives the same bytes
 _DAMAGE = (zipfile.BadZipFile, zlib.error, RuntimeError)  # raised for a damaged ZIP
 _LARGEST = 1 << 30  # bytes of one member; a card of 840 runs has 40 MB
@@ -248,6 +249,7 @@ def _state(model: Pipeline) -> dict[str, Any]:
     }
     if isinstance(detector, LargestGroup):
         return state | {
+            "constant": scaler.is_constant_,
             "groups": detector.groups,
             "components": np.concatenate([c.ravel() for c in detector.components_], dtype="f4"),
             "variances": [variances.tolist() for variances in detector.variances_],
@@ -261,14 +263,16 @@ def _state(model: Pipeline) -> dict[str, Any]:
 
 def _restored(state: Mapping[str, Any], floors: Mapping[str, float]) -> Pipeline:
     """Return the fitted scaler and detector from the values of `_state`."""
-    restored = _restored_groups(state) if state["precision"] is None else _restored_matrix(state)
-    restored.location_ = np.array(state["location"])
-    restored.n_features_in_ = len(restored.location_)
-    model = pipeline(restored, floors)
-    scaler = model[0]
+    is_of_signals = state["precision"] is None
+    detector = _restored_groups(state) if is_of_signals else _restored_matrix(state)
+    detector.location_ = np.array(state["location"])
+    detector.n_features_in_ = len(detector.location_)
+    scaler = SignalScaler(floors) if is_of_signals else FlooredRobustScaler(floors)
+    if isinstance(scaler, SignalScaler):
+        scaler.is_constant_ = np.array(state["constant"], dtype=np.bool_)
     scaler.kept_, scaler.indicated_ = list(state["kept"]), list(state["indicated"])
     scaler.center_, scaler.scale_ = np.array(state["center"]), np.array(state["scale"])
-    return model
+    return Pipeline([("scaler", scaler), ("detector", detector)])
 
 
 def _restored_matrix(state: Mapping[str, Any]) -> Mahalanobis:

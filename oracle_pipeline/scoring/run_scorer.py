@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 
-from oracle_pipeline.clustering.scaling import FlooredRobustScaler
 from oracle_pipeline.datasets import topic_of_signal
-from oracle_pipeline.detectors import Detector, LargestGroup, pipeline
+from oracle_pipeline.detectors import Detector, LargestGroup, SignalScaler, pipeline
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 OF_FEATURES = ("run", "windows")
@@ -154,8 +153,8 @@ class RunScorer:
         """Return the scaler and the detector of a level, fitted on a table with its columns."""
         if level in OF_FEATURES:
             return pipeline(clone(self.design.detector), self.design.floors).fit(table)
-        scaler = FlooredRobustScaler(self.design.floors).fit(table)
-        topics = [topic_of_signal(column) for column in (*scaler.kept_, *scaler.indicated_)]
+        scaler = SignalScaler(self.design.floors).fit(table)
+        topics = [topic_of_signal(column) for column in scaler.kept_]
         detector = LargestGroup(None if level == "signals" else topics)
         return Pipeline([("scaler", scaler), ("detector", detector.fit(scaler.transform(table)))])
 
