@@ -81,14 +81,14 @@ def signal_columns(df: pd.DataFrame) -> list[str]:
 
 
 def topic_of_signal(column: str) -> str:
-    """Return the topic of a column of `signal_columns`.
+    """Return the topic of a column of `signal_columns`; empty for another column.
 
     Examples
     --------
     >>> topic_of_signal("signals./odom/pose.pose.position.x.mean")
     '/odom'
     """
-    return column.removeprefix(SIGNALS).rpartition("/")[0]
+    return column.removeprefix(SIGNALS).rpartition("/")[0] if column.startswith(SIGNALS) else ""
 
 
 def feature_families(df: pd.DataFrame) -> list[str]:

@@ -46,10 +46,17 @@ class UsualRanges:
         Features of the runs to compare with.
     columns : sequence of str
         The features to compare.
+    scaler : type of FlooredRobustScaler
+        Gives centre and scale.
     """
 
-    def __init__(self, normal: pd.DataFrame, columns: Sequence[str]) -> None:
-        self.scaler = FlooredRobustScaler(feature_floors(normal)).fit(normal[list(columns)])
+    def __init__(
+        self,
+        normal: pd.DataFrame,
+        columns: Sequence[str],
+        scaler: type[FlooredRobustScaler] = FlooredRobustScaler,
+    ) -> None:
+        self.scaler = scaler(feature_floors(normal)).fit(normal[list(columns)])
         known = normal[self.scaler.kept_].replace([np.inf, -np.inf], np.nan)
         self.low, self.high = np.nanpercentile(known.to_numpy(dtype=np.float64), USUAL, axis=0)
 
@@ -91,9 +98,14 @@ class UsualRanges:
         ]
 
 
-def explain(normal: pd.DataFrame, row: pd.DataFrame, columns: Sequence[str]) -> list[Deviation]:
+def explain(
+    normal: pd.DataFrame,
+    row: pd.DataFrame,
+    columns: Sequence[str],
+    scaler: type[FlooredRobustScaler] = FlooredRobustScaler,
+) -> list[Deviation]:
     """Rank the features of one run that are outside the usual range of normal ones."""
-    return UsualRanges(normal, columns).deviations(row)
+    return UsualRanges(normal, columns, scaler).deviations(row)
 
 
 def by_family(deviations: Sequence[Deviation], columns: Sequence[str]) -> list[FamilyDeviation]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from oracle_pipeline.datasets import WHERE, WINDOW_START
+from oracle_pipeline.datasets import WHERE, WINDOW_START, topic_of_signal
 from oracle_pipeline.detectors import Deviation, explain
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.comparable import comparable
@@ -45,7 +45,7 @@ def farthest_features(
             unit=deviation.unit,
             usual_low=deviation.usual_low,
             usual_high=deviation.usual_high,
-            where=where.get(deviation.feature),
+            where=where.get(deviation.feature) or topic_of_signal(deviation.feature) or None,
             window_start_s=_farthest_window(deviation, tables.windows),
         )
         for deviation in deviations[:SHOWN]

@@ -15,7 +15,7 @@ import pandas as pd
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import progress_bar
-from oracle_pipeline.detectors import by_family, explain
+from oracle_pipeline.detectors import SignalScaler, by_family, explain
 from oracle_pipeline.features import FeatureManager, FeatureTables
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.alarms import RATE_PER_H, Alarm, AlarmWatch
@@ -213,7 +213,8 @@ def _scored(
     same verdict as in the evaluation.
     """
     measured = _measured(tables, card)
-    columns, notes = shared_features(tables.run, card.runs, card.scorer.design.run_features)
+    design = card.scorer.design
+    columns, notes = shared_features(tables.run, card.runs, design.run_features)
     block = _known_block(tables.run, card)
     headline = _aspect_score(card.scorer, measured, block)
     votes = len(np.unique(card.scorer.block_)) - (block is not None)
@@ -221,7 +222,9 @@ def _scored(
     if block is not None:
         notes.append("Its block is part of the reference: all runs of that block are left out.")
     others = card.runs if block is None else card.runs[card.runs["block"] != block]
-    deviations = explain(others, tables.run, columns)
+    deviations = explain(others, tables.run, columns) if design.uses_features else []
+    if signals := [column for column in design.run_signals if column in tables.run.columns]:
+        deviations += explain(others, tables.run, signals, SignalScaler)
     return Verdict(
         recording,
         "unsupported",  # until `decide_suite` sets the outcome
@@ -238,7 +241,7 @@ def _scored(
         normal_runs=len(others),
         normal_blocks=votes,
         evidence=farthest_features(deviations, tables),
-        families=tuple(by_family(deviations, columns)),
+        families=tuple(by_family(deviations, [*columns, *signals])),
         notes=tuple(notes),
     )
 

@@ -59,6 +59,11 @@ class Design:
     levels: Sequence[str] = OF_FEATURES
 
     @property
+    def uses_features(self) -> bool:
+        """Whether features count, and not signals alone."""
+        return any(level in OF_FEATURES for level in self.levels)
+
+    @property
     def run_columns(self) -> list[str]:
         """All columns of the run table."""
         return [*self.run_features, *self.run_signals]

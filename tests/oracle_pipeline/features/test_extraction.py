@@ -11,7 +11,7 @@ from oracle_pipeline import features
 from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.datasets import KEYS, feature_columns, feature_dataset, read_table
 from oracle_pipeline.opened_run import open_run
-from oracle_pipeline.windows import HOP_S, WINDOW_S, windows_ns
+from oracle_pipeline.windows import HOP_S, SHORTEST_S, WINDOW_S, windows_ns
 
 MANAGER = features.build_manager()
 SECOND = 1_000_000_000
@@ -22,7 +22,7 @@ def extract(path: Path) -> features.FeatureTables:
         return features.extract(run, MANAGER)
 
 
-@given(st.integers(0, 700 * SECOND))
+@given(st.integers(round(HOP_S * SECOND), 700 * SECOND))
 def test_windows_cover_the_recording_each_half_window(duration_ns):
     times_ns = np.arange(0, duration_ns + 1, SECOND)
     windows = windows_ns(duration_ns + 1, times_ns)
@@ -32,6 +32,12 @@ def test_windows_cover_the_recording_each_half_window(duration_ns):
     for start_ns, end_ns in windows:
         assert end_ns == min(start_ns + length_ns, duration_ns + 1)
         assert end_ns - start_ns > hop_ns
+
+
+@given(st.integers(1, round(HOP_S * SECOND)))
+def test_short_recording_is_one_window_unless_it_is_too_short(duration_ns):
+    whole = [(0, duration_ns)] if duration_ns >= SHORTEST_S * SECOND else []
+    assert windows_ns(duration_ns, np.zeros(1, dtype=np.int64)) == whole
 
 
 @given(st.lists(st.integers(0, 100 * SECOND), max_size=5))
@@ -136,7 +142,7 @@ def test_equal_runs_give_equal_bytes(make_run):
 
 
 def test_a_recording_too_short_for_a_window_has_none(bag_of, messages):
-    tables = extract(bag_of([(t, "/scan", messages.scan(t, [1.0, 2.0])) for t in range(3)]))
+    tables = extract(bag_of([(t / 10, "/scan", messages.scan(t, [1.0, 2.0])) for t in range(3)]))
     assert len(tables.windows) == 0
     assert tables.windows["contextual.range_variance_max"].dtype == np.float64
     assert tables.run["contextual.range_variance_max"].tolist() == [0.25]

@@ -74,7 +74,7 @@ def place(tmp_path_factory):
         make(root / name)
     cut(root / "half", 0.6)
     write_bag(root / "silent", [])
-    write_bag(root / "short", [each for each in drive() if each[0] < 1.0])
+    write_bag(root / "short", [each for each in drive() if each[0] < 0.2])
     return root
 
 
@@ -108,7 +108,7 @@ def test_refused_recordings_are_named_and_the_others_are_used(place, tmp_path):
     assert "Learned from 5 normal recordings" in output
     for name, (_, reason) in REFUSED.items():
         assert any(f"{name}" in line and reason in line for line in output.splitlines())
-    assert "short is left out of the reference: it is shorter than 2.5 s" in output
+    assert "short is left out of the reference: it is shorter than 0.25 s" in output
 
     named = [*odd, *(place / name for name in NAMED_ONLY), *more]
     named += [place / "silent", place / "good" / "a"]

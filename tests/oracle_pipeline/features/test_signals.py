@@ -1,0 +1,91 @@
+"""Signals: every number of every message has statistics, and is treated as what it is."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from oracle_pipeline import features
+from oracle_pipeline.datasets import signal_columns
+from oracle_pipeline.features import build_manager
+from oracle_pipeline.features.signals.statistics import OF_RUN
+from oracle_pipeline.opened_run import open_run
+
+MANAGER = build_manager()
+COUNT = 200
+TIME_S = np.arange(COUNT) * 0.05
+
+
+def signals_of(path) -> dict[str, float]:
+    """Return the statistics of a recording's signals."""
+    with open_run(path) as run:
+        row = features.extract(run, MANAGER).run
+    return row[list(signal_columns(row))].iloc[0].to_dict()
+
+
+def logged(folder, **columns):
+    """Write a table of 10 s as a log."""
+    path = folder / "log.csv"
+    pd.DataFrame({"time": TIME_S, **columns}).to_csv(path, index=False)
+    return path
+
+
+@given(st.integers(0, 1000), st.floats(0.1, 1e3), st.floats(-1e3, 1e3))
+def test_statistics_are_those_of_numpy(tmp_path_factory, seed, scale, level):
+    values = level + scale * np.random.default_rng(seed).normal(size=COUNT)
+    centred = values - values.mean()
+    found = signals_of(logged(tmp_path_factory.mktemp("log"), a=values))
+    expected = {
+        "mean": values.mean(), "std": values.std(), "min": values.min(), "max": values.max(),
+        "change": np.abs(np.diff(values)).mean(), "missing": 0.0, "held": 1.0 / COUNT,
+        "autocorrelation": np.sum(centred[1:] * centred[:-1]) / np.sum(centred**2),
+    }  # fmt: skip
+    assert set(expected) == set(OF_RUN)
+    for statistic, value in expected.items():
+        assert found[f"signals./log/a.{statistic}"] == pytest.approx(value, rel=1e-6, abs=1e-9)
+
+
+def test_angle_that_turns_has_no_jump(tmp_path):
+    yaw = np.mod(TIME_S + np.pi, 2.0 * np.pi) - np.pi
+    found = signals_of(logged(tmp_path, yaw=yaw))
+    assert found["signals./log/yaw.change"] == pytest.approx(0.05)
+
+
+def test_counter_is_a_rate(tmp_path):
+    found = signals_of(logged(tmp_path, count=np.arange(COUNT) * 3))
+    assert found["signals./log/count.rate.mean"] == pytest.approx(60.0)
+    assert "signals./log/count.mean" not in found
+
+
+def test_stuck_and_missing_numbers_are_told(tmp_path):
+    noise = np.random.default_rng(0).normal(size=COUNT)
+    stuck, missing = noise.copy(), noise.copy()
+    stuck[50:150], missing[:50] = stuck[50], np.nan
+    found = signals_of(logged(tmp_path, stuck=stuck, missing=missing))
+    assert found["signals./log/stuck.held"] == pytest.approx(0.5, abs=0.01)
+    assert found["signals./log/missing.missing"] == pytest.approx(0.25)
+
+
+def test_nested_fields_quaternions_covariances_and_arrays_are_signals(bag_of, messages):
+    poses = [messages.odometry(n * 0.1, 0.1 * n, 0.0, 0.01 * n, 0.1) for n in range(60)]
+    scan = messages.scan(0.0, [1.0] * 300)
+    bag = bag_of(
+        [(n * 0.1, "/odom", pose) for n, pose in enumerate(poses)]
+        + [(n * 0.1, "/scan", scan) for n in range(60)]
+    )
+    found = signals_of(bag)
+    assert found["signals./odom/pose.pose.position.x.max"] == pytest.approx(5.9)
+    assert found["signals./odom/pose.pose.orientation.yaw.max"] == pytest.approx(0.59)
+    assert found["signals./odom/pose.pose.orientation.norm.mean"] == pytest.approx(1.0)
+    assert "signals./odom/pose.covariance.trace.mean" in found
+    assert found["signals./scan/ranges.mean.mean"] == pytest.approx(1.0)
+    assert not [name for name in found if "stamp" in name or "frame_id" in name]
+
+
+def test_robot_without_features_of_its_own_has_hundreds_of_signals(tmp_path):
+    rng = np.random.default_rng(0)
+    columns = {
+        f"motor.{n}.{of}": rng.normal(size=COUNT) for n in range(6) for of in ("i", "u", "t")
+    }
+    assert len(signals_of(logged(tmp_path, **columns))) >= 120

@@ -1,0 +1,68 @@
+"""A robot without features of its own is judged by its signals, few recordings or short ones."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+
+from oracle_pipeline.cli import main
+
+NORMALS, TESTED = 20, 12
+MOTORS = 4
+
+
+def flight(path, rng, *, weak_motor=0.0, rows=400):
+    """Write a flight of a robot with four motors; a weak one has to work harder."""
+    time_s = np.arange(rows) * 0.01
+    wind = np.convolve(rng.normal(size=rows), np.full(20, 0.05), "same") * rng.uniform(0.8, 1.2)
+    columns = {"time": time_s, "battery": rng.uniform(11.5, 12.5) - 0.01 * time_s}
+    for motor in range(MOTORS):
+        load = 1.0 + (weak_motor if motor == 2 else 0.0)
+        columns[f"motor{motor}.thrust"] = load + 0.2 * wind + 0.05 * rng.normal(size=rows)
+        columns[f"motor{motor}.current"] = 4.0 * load + wind + 0.2 * rng.normal(size=rows)
+    for axis in "xyz":
+        columns[f"gyro.{axis}"] = 0.3 * wind + 0.02 * rng.normal(size=rows)
+    pd.DataFrame(columns).to_csv(path, index=False)
+    return path
+
+
+def verdicts(folder, rows):
+    """Return the verdicts on normal flights, and on flights with a weak motor."""
+    rng = np.random.default_rng(1)
+    for name in ("good", "normal", "weak"):
+        (folder / name).mkdir()
+    for number in range(NORMALS):
+        flight(folder / "good" / f"{number}.csv", rng, rows=rows)
+    for number in range(TESTED):
+        flight(folder / "normal" / f"{number}.csv", rng, rows=rows)
+        flight(folder / "weak" / f"{number}.csv", rng, weak_motor=0.3, rows=rows)
+    card = folder / "robot.card"
+    learned = CliRunner().invoke(main, ["learn", str(folder / "good"), "--output", str(card)])
+    assert learned.exit_code == 0, learned.output
+    found = {}
+    for name in ("normal", "weak"):
+        paths = [str(path) for path in sorted((folder / name).iterdir())]
+        done = CliRunner().invoke(
+            main, ["score", *paths, "--reference", str(card), "--far", "0.1", "--format", "json"]
+        )
+        found[name] = json.loads(done.stdout)["recordings"]
+    return found
+
+
+@pytest.fixture(scope="module", params=[400, 32], ids=["4 s", "0.3 s"])
+def judged(request, tmp_path_factory):
+    return verdicts(tmp_path_factory.mktemp("flights"), request.param)
+
+
+@pytest.mark.slow(20)
+def test_weak_motor_scores_higher_than_normal_flights(judged):
+    normal, weak = ([each["score"] for each in judged[name]] for name in ("normal", "weak"))
+    assert np.mean(np.subtract.outer(weak, normal) > 0.0) >= 0.95
+
+
+@pytest.mark.slow
+def test_evidence_names_the_signal(judged):
+    named = [each["evidence"][0]["feature"] for each in judged["weak"]]
+    assert sum("motor2" in feature for feature in named) >= 0.9 * TESTED
