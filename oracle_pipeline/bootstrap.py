@@ -71,6 +71,18 @@ class DistinctRuns:
     def __len__(self) -> int:
         return len(self.first)
 
+    @classmethod
+    def once(
+        cls,
+        members: NDArray[np.bool_],
+        malicious: NDArray[np.bool_],
+        block: NDArray[np.int64],
+    ) -> "DistinctRuns":
+        """Return the members among rows that are distinct already; arrays of shape (n_rows,)."""
+        first = np.flatnonzero(members)
+        copies = np.ones(len(first), dtype=np.int64)
+        return cls(first, copies, malicious[first], block[first])
+
 
 def distinct_runs(df: pd.DataFrame) -> DistinctRuns:
     """Return the distinct runs of a table and their numbers of rows."""

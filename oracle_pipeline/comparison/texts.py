@@ -33,7 +33,7 @@ def as_json(comparison: SetComparison) -> str:
 
 def as_text(comparison: SetComparison) -> str:
     """Return the outcome as a sentence, the differences as a table, and the method."""
-    lines = [in_words(comparison)]
+    lines = [_in_words(comparison)]
     if comparison.differences:
         shown = comparison.differences[:SHOWN]
         lines += ["", *aligned_lines([_HEADINGS, *map(_cells, shown)], indent="    ")]
@@ -43,7 +43,7 @@ def as_text(comparison: SetComparison) -> str:
     return "\n".join([*lines, "", *_basis(comparison), *comparison.notes])
 
 
-def in_words(comparison: SetComparison) -> str:
+def _in_words(comparison: SetComparison) -> str:
     """Return the outcome as one sentence."""
     total = sum(comparison.compared.values())
     if comparison.outcome == "unsupported":
@@ -65,7 +65,7 @@ def as_junit(comparison: SetComparison) -> bytes:
     for family in comparison.compared:
         rows = [_cells(each) for each in comparison.differences if each.family == family]
         if comparison.outcome == "unsupported":
-            cases.append(TestCase(family, "error", in_words(comparison)))
+            cases.append(TestCase(family, "error", _in_words(comparison)))
         elif rows:
             text = "\n".join(aligned_lines([_HEADINGS, *rows]))
             cases.append(TestCase(family, "failure", text))

@@ -111,13 +111,7 @@ def judge_alarms(
     judged = scope.runs & np.isfinite(watched_runs.per_hour)
     attacked, malicious = campaign.attacked_windows(), campaign.malicious
     compared = scope.runs[campaign.run] & scored & (attacked | ~malicious[campaign.run])
-    first = np.flatnonzero(compared)
-    windows = DistinctRuns(
-        first,
-        np.ones(len(first), dtype=np.int64),
-        attacked[first],
-        campaign.block[campaign.run[first]],
-    )
+    windows = DistinctRuns.once(compared, attacked, campaign.block[campaign.run])
     hit, normal = judged & malicious, judged & ~malicious
     late = times_to_detect(alarm, campaign, campaign.onset_s)[hit]
     after_effect = times_to_detect(alarm, campaign, campaign.effect_s)[hit]
@@ -126,7 +120,7 @@ def judge_alarms(
     return {
         "attacked_windows": int(windows.malicious.sum()),
         "normal_windows": int((~windows.malicious).sum()),
-        **auc(score[first], windows, rng).columns("auc"),
+        **auc(score[windows.first], windows, rng).columns("auc"),
         "attacked_runs": int(hit.sum()),
         "normal_runs": int(normal.sum()),
         **share(np.isinf(late), block[hit], rng).columns("missed"),

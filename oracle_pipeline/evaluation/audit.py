@@ -26,7 +26,7 @@ LEVEL = 0.05  # false discovery rate among the features of one comparison
 
 
 @dataclass(frozen=True, slots=True)
-class DistinguishingFeature:
+class _DistinguishingFeature:
     """One feature that distinguishes unaltered runs."""
 
     feature: str
@@ -75,19 +75,19 @@ def audit(df: pd.DataFrame, columns: Sequence[str] | None = None) -> pd.DataFram
     Returns
     -------
     DataFrame
-        A row for each `DistinguishingFeature`, the most certain first.
+        A row for each `_DistinguishingFeature`, the most certain first.
     """
     chosen = feature_columns(df) if columns is None else list(columns)
     found = [*_between_modes(df, chosen), *_between_sessions(df, chosen)]
     found.sort(key=lambda each: (each.p, each.feature))
     return pd.DataFrame(
-        map(asdict, found), columns=list(DistinguishingFeature.__dataclass_fields__)
+        map(asdict, found), columns=list(_DistinguishingFeature.__dataclass_fields__)
     )
 
 
-def features_differing_in_pair(
+def _features_differing_in_pair(
     df: pd.DataFrame, columns: Sequence[str], pair: tuple[str, str]
-) -> list[DistinguishingFeature]:
+) -> list[_DistinguishingFeature]:
     """Return the features that distinguish two unaltered modes."""
     one, other = (
         df[df["mode"] == mode].set_index("block")[list(columns)].sort_index() for mode in pair
@@ -106,13 +106,13 @@ def features_differing_in_pair(
     return _significant(columns, "control" if exact else "mode", " and ".join(pair), share, p)
 
 
-def _between_modes(df: pd.DataFrame, columns: Sequence[str]) -> Iterator[DistinguishingFeature]:
+def _between_modes(df: pd.DataFrame, columns: Sequence[str]) -> Iterator[_DistinguishingFeature]:
     passthrough = [control for control, _ in PAIRS if control in set(df["mode"])]
     for pair in (*exact_pairs(df), *combinations(dict.fromkeys(passthrough), 2)):
-        yield from features_differing_in_pair(df, columns, pair)
+        yield from _features_differing_in_pair(df, columns, pair)
 
 
-def _between_sessions(df: pd.DataFrame, columns: Sequence[str]) -> list[DistinguishingFeature]:
+def _between_sessions(df: pd.DataFrame, columns: Sequence[str]) -> list[_DistinguishingFeature]:
     unaltered = df[df["mode"].isin([control for control, _ in PAIRS])]
     by_block = unaltered.groupby(["session", "block"])[list(columns)].mean()
     groups, between = [group for _, group in by_block.groupby("session")], "sessions"
@@ -140,10 +140,10 @@ def _significant(
     between: str,
     share: NDArray[np.float64],
     p: list[float],
-) -> list[DistinguishingFeature]:
+) -> list[_DistinguishingFeature]:
     adjusted: list[float] = false_discovery_control(p).tolist() if p else []
     return [
-        DistinguishingFeature(column, tells, between, float(differing), float(p_adjusted))
+        _DistinguishingFeature(column, tells, between, float(differing), float(p_adjusted))
         for column, differing, p_adjusted in zip(columns, share, adjusted, strict=True)
         if p_adjusted <= LEVEL
     ]

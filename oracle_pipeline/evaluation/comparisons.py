@@ -104,11 +104,8 @@ def runs_of(
     campaign: JudgedRuns, members: NDArray[np.bool_], positive: NDArray[np.bool_] | None = None
 ) -> DistinctRuns:
     """Return the runs of a scope as input of metrics; by default the attacked ones are positive."""
-    first = np.flatnonzero(members)
     found = campaign.malicious if positive is None else positive
-    return DistinctRuns(
-        first, np.ones(len(first), dtype=np.int64), found[first], campaign.block[first]
-    )
+    return DistinctRuns.once(members, found, campaign.block)
 
 
 def judge(

@@ -75,7 +75,7 @@ def same_between_sessions(
     name, areas = "sessions_score_alike", []
     for mode, _ in PAIRS:
         members = (campaign.features["mode"] == mode).to_numpy() & np.isfinite(scores.score)
-        groups = session_groups(campaign.features, members)
+        groups = _session_groups(campaign.features, members)
         for one, other in combinations(groups, 2):
             both = groups[one] | groups[other]
             runs = runs_of(campaign, both)
@@ -111,7 +111,7 @@ _TOO_FEW_IN_SESSIONS = (
 )
 
 
-def session_groups(
+def _session_groups(
     features: pd.DataFrame, members: NDArray[np.bool_]
 ) -> dict[str, NDArray[np.bool_]]:
     """Return the sessions that can be compared, by name, as masks of shape (n_runs,).
@@ -170,7 +170,7 @@ def label_above_session(
     name, df = "label_is_predicted_better_than_session", campaign.features
     classifier = upper_bounds(seed)["random_forest"].set_params(n_estimators=TREES)
     label = supervised_scores(df, columns, classifier, folds)
-    targets = list(session_groups(df, np.ones(len(df), dtype=np.bool_)).values())
+    targets = list(_session_groups(df, np.ones(len(df), dtype=np.bool_)).values())
     if not targets:
         return _unsupported(name, _TOO_FEW_IN_SESSIONS)
     areas = [

@@ -158,13 +158,8 @@ def _supported(runs: TracedRuns, rate: float) -> bool:
 
 
 def _area(score: NDArray[np.float64], runs: TracedRuns, rng: np.random.Generator) -> Row:
-    known = np.flatnonzero(runs.malicious | runs.normal)
-    malicious = runs.malicious[known]
-    if malicious.all() or not malicious.any():
-        return dict(NOTHING.columns("auc"))
-    once = np.ones(len(known), dtype=np.int64)
-    distinct = DistinctRuns(known, once, malicious, runs.block[known])
-    return dict(auc(score[known], distinct, rng).columns("auc"))
+    distinct = DistinctRuns.once(runs.malicious | runs.normal, runs.malicious, runs.block)
+    return dict(auc(score[distinct.first], distinct, rng).columns("auc"))
 
 
 def _by_mode(

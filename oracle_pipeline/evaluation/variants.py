@@ -59,7 +59,7 @@ class MethodVariant:
     first_clusters_only: bool
 
 
-def scale_rows(rows: pd.DataFrame, columns: Sequence[str]) -> NDArray[np.float64]:
+def _scale_rows(rows: pd.DataFrame, columns: Sequence[str]) -> NDArray[np.float64]:
     """Scale the named features with their declared floors; shape (n_rows, n_scaled)."""
     scaler = FlooredRobustScaler(feature_floors(rows))
     return np.asarray(scaler.fit_transform(rows[list(columns)]), dtype=np.float64)
@@ -116,7 +116,7 @@ CORRECTED = MethodVariant(
     whole_runs=lambda df: df,
     columns=_families,
     draw=bootstrap,
-    matrix=scale_rows,
+    matrix=_scale_rows,
     first_clusters_only=False,
 )
 THESIS = MethodVariant(

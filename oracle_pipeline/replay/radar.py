@@ -50,7 +50,7 @@ _INKS: dict[str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class RadarTrack:
+class _RadarTrack:
     """One track of the fusion; positions are north + i east of the antenna [km]."""
 
     label: str
@@ -60,11 +60,11 @@ class RadarTrack:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Display:
+class _Display:
     """The display at one instant; positions are north + i east of the antenna [km]."""
 
     title: str
-    tracks: Sequence[RadarTrack]
+    tracks: Sequence[_RadarTrack]
     reports: NDArray[np.complex128]  # (n,), of the last two minutes
     plots: NDArray[np.complex128]  # (m,), of both radars in the last two minutes
 
@@ -74,7 +74,7 @@ def has_tracks(run: OpenedRun) -> bool:
     return TRACKS in {topic.msgtype for topic in run.bag.topics.values()}
 
 
-def radar_display(run: OpenedRun) -> Display:
+def radar_display(run: OpenedRun) -> _Display:
     """Return the display after a quarter of a recording.
 
     Raises
@@ -94,7 +94,7 @@ def radar_display(run: OpenedRun) -> Display:
     name = run.path.resolve().name
     if run.manifest is not None:
         name = run.manifest.key
-    return Display(
+    return _Display(
         f"{name}, {instant_s:.0f} s",
         _tracks(messages[TRACKS], antenna),
         _places(reports, antenna),
@@ -102,7 +102,7 @@ def radar_display(run: OpenedRun) -> Display:
     )
 
 
-def plan_view(display: Display) -> bytes:
+def plan_view(display: _Display) -> bytes:
     """Draw the display as PNG, in the style of ``reporting.figures``; north is up."""
     trails = np.concatenate([track.trail for track in display.tracks])
     reach = RING_KM * math.ceil(float(np.abs(trails).max()) / RING_KM)
@@ -169,14 +169,14 @@ def _flights(reports: Sequence[Any]) -> dict[str, ReportedFlight]:
     return flights(Series(rows[:, 1].astype(np.float64), rows))
 
 
-def _tracks(arrays: Sequence[Any], antenna: Site) -> list[RadarTrack]:
+def _tracks(arrays: Sequence[Any], antenna: Site) -> list[_RadarTrack]:
     """Return the tracks of the newest array, with their earlier positions."""
     positions = defaultdict(list)
     for array in arrays:
         for track in array.tracks:
             positions[track.track_id].append((track.latitude, track.longitude, track.altitude_m))
     return [
-        RadarTrack(
+        _RadarTrack(
             _label(track),
             _seen_by(track.sources),
             _places(positions[track.track_id], antenna),

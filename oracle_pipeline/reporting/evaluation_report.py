@@ -90,7 +90,7 @@ def _summary(evaluation: CampaignEvaluation) -> dict[str, float | int | str]:
     doubts = integrity_checks.banner(evaluation.checks)
     runs = _judged(evaluation)
     return {
-        "headline": in_words(area) if area_is_claimed(evaluation) else ranked(Ranking.of(runs)),
+        "headline": in_words(area) if _area_is_claimed(evaluation) else _ranked(Ranking.of(runs)),
         "verdicts": verdicts(runs),
         "banner": doubts,
         "scorer": f"{HEADLINE.detector} on {HEADLINE.features} features, level {HEADLINE.level}",
@@ -106,21 +106,21 @@ def _summary(evaluation: CampaignEvaluation) -> dict[str, float | int | str]:
     }
 
 
-def area_is_claimed(evaluation: CampaignEvaluation) -> bool:
+def _area_is_claimed(evaluation: CampaignEvaluation) -> bool:
     """Return whether there is an AUC and every integrity check is green."""
     return bool(np.isfinite(evaluation.table["auc"].iloc[0])) and not integrity_checks.banner(
         evaluation.checks
     )
 
 
-def ranked(ranking: Ranking) -> str:
+def _ranked(ranking: Ranking) -> str:
     """Return a sentence on the rank of the attacked runs; it makes no claim on other runs.
 
     Examples
     --------
-    >>> ranked(Ranking(attacked=9, normal=9, on_top=9, by_chance=4.5))
+    >>> _ranked(Ranking(attacked=9, normal=9, on_top=9, by_chance=4.5))
     'All 9 attacked runs score higher than all 9 normal runs.'
-    >>> ranked(Ranking(attacked=9, normal=18, on_top=7, by_chance=3.0))
+    >>> _ranked(Ranking(attacked=9, normal=18, on_top=7, by_chance=3.0))
     'Of the 9 highest scores, 7 belong to the 9 attacked runs; by chance it would be about 3.'
     """
     if not ranking.attacked or not ranking.normal:

@@ -20,7 +20,7 @@ TICK_S = (10, 20, 60, 120, 300, 600)  # choices of the distance between ticks
 MOST_TICKS = 8
 
 
-class HeatCell(NamedTuple):
+class _HeatCell(NamedTuple):
     """One window that is outside the usual range in one family."""
 
     x: float  # [%]
@@ -29,18 +29,18 @@ class HeatCell(NamedTuple):
     words: str
 
 
-class HeatRow(NamedTuple):
+class _HeatRow(NamedTuple):
     """One family."""
 
     family: str
-    cells: Sequence[HeatCell]
+    cells: Sequence[_HeatCell]
     usual: str
 
 
 class HeatStrip(NamedTuple):
     """The whole heat map; times are positions [%]."""
 
-    rows: Sequence[HeatRow]
+    rows: Sequence[_HeatRow]
     ticks: Sequence[tuple[float, str]]
     onset: float | None  # of the attack
     goals: Sequence[float]  # when goals ended
@@ -67,7 +67,7 @@ def heat_strip(
 
     return HeatStrip(
         rows=[
-            HeatRow(
+            _HeatRow(
                 windows.families[family],
                 _cells(windows, family, float(bounds[family]), end_s),
                 _usual(float(bounds[family])),
@@ -83,7 +83,7 @@ def heat_strip(
     )  # fmt: skip
 
 
-def _cells(windows: UnusualWindows, family: int, bound: float, end_s: float) -> list[HeatCell]:
+def _cells(windows: UnusualWindows, family: int, bound: float, end_s: float) -> list[_HeatCell]:
     """Return the unusual windows of a family.
 
     A cell ends where the next window starts, so that cells do not overlap as windows do.
@@ -95,7 +95,7 @@ def _cells(windows: UnusualWindows, family: int, bound: float, end_s: float) -> 
         strength = min(1.0, float(np.log(distance / bound) / np.log(STRONGEST)))
         more = " or more" if distance >= CLIP else ""
         cells.append(
-            HeatCell(
+            _HeatCell(
                 round(100.0 * start_s / end_s, 2),
                 round(100.0 * min(HOP_S, end_s - start_s) / end_s, 2),
                 round(FAINTEST + (1.0 - FAINTEST) * strength, 2),

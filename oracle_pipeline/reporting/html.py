@@ -145,11 +145,9 @@ def _tables_of_evaluation(evaluation: Report) -> dict[str, PageTable]:
     headline = headline[(headline["split"] == BLOCK) | overall]
     scopes = [scope for scope in headline["scope"] if "/" in scope]
     areas = [PageColumn(scope, scope) for scope in scopes]
-    by_family = _rows(judged, detector=HEADLINE.detector, level=HEADLINE.level, split=BLOCK)
     tables = {
         "verdicts": table("verdicts", headline),
         "scorers": table("scorers", _rows(judged, scope=ALL_MODES)),
-        "families": table("families", _areas(by_family, scopes), areas),
         "areas": table("areas", _areas(judged, scopes), areas),
     }
     for name in ("alarms", "aspects", "aspects_by_mode", "minimum_detectable", "mutation_scores",

@@ -22,7 +22,7 @@ LEAST_HEIGHT = 14  # with more modes
 JITTER = (0, -1, 1, -2, 2)  # vertical offsets, so that equal scores do not hide each other
 
 
-class Mark(NamedTuple):
+class _Mark(NamedTuple):
     """One run."""
 
     x: float  # [%]
@@ -32,12 +32,12 @@ class Mark(NamedTuple):
     called: bool  # anomalous; also true without verdicts
 
 
-class Strip(NamedTuple):
+class _Strip(NamedTuple):
     """The runs of one mode."""
 
     mode: str
     label: str
-    marks: Sequence[Mark]
+    marks: Sequence[_Mark]
     note: str  # number of runs; empty if `kinds` is given
     kinds: Sequence[int]  # runs of each of `KINDS`, by their two scores; empty without verdicts
     description: str
@@ -46,7 +46,7 @@ class Strip(NamedTuple):
 class StripPlot(NamedTuple):
     """The whole plot."""
 
-    strips: Sequence[Strip]
+    strips: Sequence[_Strip]
     height: int  # of a line [px]
     ticks: Sequence[tuple[float, str]]  # position [%] and text
     highest_normal: float | None  # [%]
@@ -79,7 +79,7 @@ def strip_plot(
     for _, mode in standing.iterrows():
         of_mode = runs[runs["mode"] == mode["mode"]]
         marks = [
-            Mark(
+            _Mark(
                 round(place(run.score), 2),
                 height / 2 + JITTER[number % len(JITTER)] * height / 10,
                 page_of(run.run_id),
@@ -92,7 +92,7 @@ def strip_plot(
         of_kinds = [int(number.get(kind, 0)) for kind in KINDS] if kinds.notna().any() else []
         note = "" if of_kinds else f"{mode['runs']}"
         description = _description(mode, of_mode, of_kinds)
-        strips.append(Strip(mode["mode"], mode["label"], marks, note, of_kinds, description))
+        strips.append(_Strip(mode["mode"], mode["label"], marks, note, of_kinds, description))
     normal = runs.loc[~is_malicious(runs), "score"]
     highest = None if normal.empty else round(place(normal.max()), 2)
     shown = KINDS if kinds.notna().any() else ()

@@ -24,7 +24,7 @@ _NOTE = "note"  # a column of texts, which are listed once below the table
 _LAYOUTS = Path(__file__).with_name("templates") / "tables.yaml"
 
 
-class PageCell(NamedTuple):
+class _PageCell(NamedTuple):
     """One cell of a table: its text and, smaller, its interval."""
 
     text: str
@@ -46,7 +46,7 @@ class PageTable(NamedTuple):
     caption: str
     groups: Sequence[tuple[str, int]]  # heading, columns below it
     columns: Sequence[PageColumn]
-    rows: Sequence[Sequence[PageCell]]
+    rows: Sequence[Sequence[_PageCell]]
     notes: Sequence[str] = ()  # the column of notes has their numbers
     links: Sequence[str] = ()  # of the first cell of each row
 
@@ -127,11 +127,11 @@ def _has_values(df: pd.DataFrame, name: str) -> bool:
     return name in df.columns and bool((df[name].notna() & (df[name] != "")).any())
 
 
-def _cell(row: pd.Series, column: PageColumn) -> PageCell:
+def _cell(row: pd.Series, column: PageColumn) -> _PageCell:
     value = row[column.name]
     if f"{column.name}_low" in row.index:
         text, _, interval = f"{Estimate.of_row(row, column.name):{column.spec}}".partition(" ")
-        return PageCell(*(part.replace("inf", _NEVER) for part in (text, interval)))
+        return _PageCell(*(part.replace("inf", _NEVER) for part in (text, interval)))
     if not isinstance(value, float):
-        return PageCell(str(value))
-    return PageCell(NO_FIGURE if pd.isna(value) else f"{value:{column.spec or '.3f'}}")
+        return _PageCell(str(value))
+    return _PageCell(NO_FIGURE if pd.isna(value) else f"{value:{column.spec or '.3f'}}")
