@@ -24,12 +24,12 @@ PIP_VERSION := 26.3
 INSTALL = $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help setup setup-dev demo demo-card run campaign ui test test-quick test-browser test-compiled lint types size architecture docs \
+.PHONY: help setup setup-dev demo demo-card run campaign ui test test-everything test-quick test-browser test-compiled lint types size architecture docs \
 	pictures wheel install-check bench soak constraints requirements image sbom clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list
-	@grep -E '^[a-z-]+:.*## ' Makefile | awk -F':.*## ' '{printf "  make %-14s %s\n", $$1, $$2}'
+	@grep -E '^[a-z-]+:.*## ' Makefile | awk -F':.*## ' '{printf "  make %-15s %s\n", $$1, $$2}'
 
 setup: $(VENV)/.compiled ## Make .venv with what running needs, in pinned versions
 
@@ -87,7 +87,12 @@ test: $(VENV)/.ready-dev ## Check style and types, and run every test that needs
 # Tests begin once the style is right; types are checked beside them.
 .PHONY: test-all
 test-all: lint $(VENV)/.compiled
-	pytest -n 3 --dist loadfile --no-loadscope-reorder
+	pytest -n 3 --dist loadfile --no-loadscope-reorder $(TESTS)
+
+# In one session, the tests share runs and processes.
+test-everything: $(VENV)/.ready-dev ## Run all tests at once, as continuous integration does; needs Chromium, cmake and a compiler
+	$(INSTALL) '.[browser]'
+	@$(MAKE) --no-print-directory --jobs=2 types test-all TESTS='tests/[!_]*/ tests/test_*.py'
 
 test-quick: setup-dev ## Run the tests that take less than a second each: while you work
 	pytest -n 2 --dist worksteal -m "not slow"
@@ -129,8 +134,8 @@ wheel: setup ## Build a wheel into dist/, and try the commands of the README wit
 	$(BIN)/python -m pip install --quiet --no-deps --target dist/tried dist/*.whl
 	tools/scripts/try_commands.sh dist/tried/bin
 
-install-check: setup ## Install into fresh environments of the Python versions that are here, and try them
-	tools/scripts/install_check.sh 3.11 3.12 3.13
+install-check: ## Install into fresh environments of the Python versions that are here, and try them
+	tools/scripts/install_check.sh $(or $(VERSIONS),3.11 3.12 3.13)
 
 constraints: $(VENV)/.ready-dev ## Pin the newest versions that fit pyproject.toml
 	$(PIN) --upgrade --all-extras --output-file constraints.txt pyproject.toml
