@@ -29,7 +29,7 @@ from oracle_pipeline.features.geometry.scans import Floats, Points
 from oracle_pipeline.features.geometry.wgs84 import Site, cartesian
 from oracle_pipeline.features.statistics.reduction import largest, mean, quantile, within
 
-RADAR_FEATURES = (
+_RADAR_FEATURES = (
     Feature(
         "position_residual", "m", 20.0,
         "distance between ADS-B and secondary radar positions, median, maximum over the aircraft",
@@ -41,7 +41,7 @@ RADAR_FEATURES = (
         "aircraft", "domain",
     ),
 )  # fmt: skip
-REPORT_FEATURES = (
+_REPORT_FEATURES = (
     Feature(
         "velocity_residual", "m/s", 0.5,
         "difference between the reported ground velocity and that of the positions reported over "
@@ -126,7 +126,7 @@ class Replies:
         return np.sqrt(np.maximum(self.slant_m**2 - up_m**2, 0.0)) * self.azimuth
 
 
-def prepare_radar(window: Window) -> dict[str, tuple[Series, Series]] | Missing:
+def _prepare_radar(window: Window) -> dict[str, tuple[Series, Series]] | Missing:
     """Return the residuals of distance and altitude of each reply, by topic and aircraft."""
     replies = _replies(window.topics["replies"])
     pairs = [
@@ -149,7 +149,7 @@ def prepare_radar(window: Window) -> dict[str, tuple[Series, Series]] | Missing:
     return residuals
 
 
-def compute_radar(window: Window) -> Values:
+def _compute_radar(window: Window) -> Values:
     """Reduce to the window."""
     residuals: dict[str, tuple[Series, Series]] = window.prepared
     none = "no aircraft has both ADS-B reports and radar replies in this window"
@@ -185,7 +185,7 @@ def find_antenna(replies: Sequence[tuple[Floats, Replies]]) -> Site:
     return antenna
 
 
-def prepare_reports(window: Window) -> _Reports:
+def _prepare_reports(window: Window) -> _Reports:
     """Return the consistency of each aircraft's reports with each other."""
     velocity, intervals, begun, ended = {}, {}, {}, {}
     for topic, series in window.topics["reports"].items():
@@ -194,11 +194,11 @@ def prepare_reports(window: Window) -> _Reports:
             where = f"{topic} {address}"
             velocity[where] = velocity_residual(flight)
             intervals[where] = Series(flight.times_s[1:], np.diff(flight.stamps_s))
-        begun[topic], ended[topic] = sudden(list(aircraft.values()), series.times_s)
+        begun[topic], ended[topic] = _sudden(list(aircraft.values()), series.times_s)
     return _Reports(velocity, intervals, begun, ended)
 
 
-def compute_reports(window: Window) -> Values:
+def _compute_reports(window: Window) -> Values:
     """Reduce to the window."""
     reports: _Reports = window.prepared
     alone = "no aircraft has two ADS-B reports in this window"
@@ -231,7 +231,7 @@ def velocity_residual(flight: ReportedFlight) -> Series:
     return Series(flight.times_s, np.abs(-place / _LAG_S - reported / 2.0))
 
 
-def sudden(aircraft: Sequence[ReportedFlight], times_s: Floats) -> tuple[Floats, Floats]:
+def _sudden(aircraft: Sequence[ReportedFlight], times_s: Floats) -> tuple[Floats, Floats]:
     """Return when aircraft first and last reported in the middle of the air space [s].
 
     Parameters
@@ -298,12 +298,12 @@ def register_features() -> list[FeaturePlugin]:
     replies = {"replies": Request(keep_reply, msgtype="atc_msgs/msg/SecondaryReply", dtype=object)}
     return [
         FeaturePlugin(
-            "atc_radar", "atc", RADAR_FEATURES, compute_radar, reports | replies,
-            prepare=prepare_radar,
+            "atc_radar", "atc", _RADAR_FEATURES, _compute_radar, reports | replies,
+            prepare=_prepare_radar,
         ),
         FeaturePlugin(
-            "atc_reports", "atc", REPORT_FEATURES, compute_reports, reports,
-            prepare=prepare_reports,
+            "atc_reports", "atc", _REPORT_FEATURES, _compute_reports, reports,
+            prepare=_prepare_reports,
         ),
     ]  # fmt: skip
 

@@ -25,7 +25,7 @@ from oracle_pipeline.features.geometry.scans import Bools, Floats
 from oracle_pipeline.features.geometry.wgs84 import Site, cartesian
 from oracle_pipeline.features.statistics.reduction import largest, mean, quantile
 
-TRACK_FEATURES = (
+_TRACK_FEATURES = (
     Feature("adsb_only", "1", 0.01, "share of the tracks without radar, mean", "domain"),
     Feature("radar_only", "1", 0.01, "share of the tracks without ADS-B, mean", "domain"),
     Feature("nameless", "1", 0.01, "share of the tracks without ICAO address, mean", "domain"),
@@ -47,7 +47,7 @@ TRACK_FEATURES = (
         behaviour=True,
     ),
 )  # fmt: skip
-ADVISORY_FEATURES = (
+_ADVISORY_FEATURES = (
     Feature(
         "traffic_advisories", "1/min", 0.5, "traffic advisories to aircraft per minute", "domain",
         behaviour=True,
@@ -75,7 +75,7 @@ class _Picture:
     speed: Series  # of that pair relative to each other [m/s]
 
 
-def keep_tracks(message: Any) -> Floats:
+def _keep_tracks(message: Any) -> Floats:
     """Return the tracks of a ``TrackArray`` as rows.
 
     Columns are identifier, 1 if it has an address, sources, latitude and longitude [deg],
@@ -91,12 +91,12 @@ def keep_tracks(message: Any) -> Floats:
     return np.array(rows, dtype=np.float64).reshape(-1, 8)
 
 
-def prepare_tracks(window: Window) -> dict[str, _Picture]:
+def _prepare_tracks(window: Window) -> dict[str, _Picture]:
     """Return statistics of the messages of each topic."""
     return {topic: _picture(series) for topic, series in window.topics["tracks"].items()}
 
 
-def compute_tracks(window: Window) -> Values:
+def _compute_tracks(window: Window) -> Values:
     """Reduce to the window."""
     pictures: dict[str, _Picture] = window.prepared
     none, single = "no track in this window", "fewer than two tracks in this window"
@@ -150,12 +150,12 @@ def longest_s(times_s: Floats, identifiers: Sequence[Floats], flags: Sequence[Bo
     return longest
 
 
-def keep_advisory(message: Any) -> tuple[float, float]:
+def _keep_advisory(message: Any) -> tuple[float, float]:
     """Return whether an ``Advisory`` is a traffic advisory, and whether a resolution advisory."""
     return float(message.level == _TRAFFIC), float(message.level == _RESOLUTION)
 
 
-def compute_advisories(window: Window) -> Values | Missing:
+def _compute_advisories(window: Window) -> Values | Missing:
     """Count over the window; a silent topic counts as none."""
     if not window.history["advisories"]:
         return Missing("no advisory topic is recorded")
@@ -169,16 +169,16 @@ def compute_advisories(window: Window) -> Values | Missing:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of tracks and advisories."""
-    tracks = {"tracks": Request(keep_tracks, msgtype="atc_msgs/msg/TrackArray", dtype=object)}
+    tracks = {"tracks": Request(_keep_tracks, msgtype="atc_msgs/msg/TrackArray", dtype=object)}
     advisories = {
-        "advisories": Request(keep_advisory, msgtype="atc_msgs/msg/Advisory", optional=True)
+        "advisories": Request(_keep_advisory, msgtype="atc_msgs/msg/Advisory", optional=True)
     }
     return [
         FeaturePlugin(
-            "atc_tracks", "atc", TRACK_FEATURES, compute_tracks, tracks, prepare=prepare_tracks
+            "atc_tracks", "atc", _TRACK_FEATURES, _compute_tracks, tracks, prepare=_prepare_tracks
         ),
         FeaturePlugin(
-            "atc_advisories", "atc", ADVISORY_FEATURES, compute_advisories, advisories
+            "atc_advisories", "atc", _ADVISORY_FEATURES, _compute_advisories, advisories
         ),
     ]  # fmt: skip
 

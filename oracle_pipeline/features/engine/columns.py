@@ -14,21 +14,18 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
+from oracle_pipeline.bags.cdr import DTYPES, ENCAPSULATION, is_number
 from oracle_pipeline.bags.jit import jit
 
 _Ints: TypeAlias = NDArray[np.int64]
 _Place: TypeAlias = "int | _Ints"  # offset after the encapsulation [B]; of all messages, or of each
 
 _HEADER = "std_msgs/msg/Header"
-ENCAPSULATION = 4  # bytes before a message in CDR; its alignment starts after them
+_ENCAPSULATION = len(ENCAPSULATION)
 _PADDING = 3  # maximum of bytes after a message in CDR
 _READ_BEYOND = bytes(16)  # so that every read is inside the buffer
 
-_DTYPES = {
-    "bool": "?", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "i2",
-    "uint16": "u2", "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8",
-    "float32": "f4", "float64": "f8",
-}  # fmt: skip
+_DTYPES = {**DTYPES, "byte": DTYPES["uint8"]}  # a byte has no sign, as rosbags decodes it
 
 
 class _Number(NamedTuple):
@@ -174,7 +171,7 @@ class SerializedMessages:
     def __init__(
         self, data: Sequence[bytes], store: Typestore, msgtype: str, *, is_cdr: bool
     ) -> None:
-        before = ENCAPSULATION if is_cdr else 0
+        before = _ENCAPSULATION if is_cdr else 0
         sizes = np.array([len(each) for each in data], dtype=np.int64)
         starts = np.cumsum(sizes) - sizes + before
         whole = b"".join([*data, _READ_BEYOND])
@@ -183,8 +180,8 @@ class SerializedMessages:
         self._kind = Nodetype.NAME, msgtype
         self._little = np.ones(len(data), dtype=np.bool_)
         if is_cdr and len(data):
-            encapsulation = self._buffer.read(np.dtype("<u2"), -ENCAPSULATION)
-            self._little = (encapsulation == 0x0100) & (sizes >= ENCAPSULATION)
+            encapsulation = self._buffer.read(_DTYPES["uint16"], -_ENCAPSULATION)
+            self._little = (encapsulation == 0x0100) & (sizes >= _ENCAPSULATION)
 
     @cached_property
     def _walked(self) -> tuple[_Node, NDArray[np.bool_]]:
@@ -234,14 +231,14 @@ class _Walk:
             if what[0] == "string":
                 sizes, at = self._count(at, 1)
                 if self._buffer.is_cdr:
-                    last = self._buffer.read(np.dtype("u1"), at + sizes - 1)
+                    last = self._buffer.read(_DTYPES["uint8"], at + sizes - 1)
                     self.whole &= (last == 0) & (np.asarray(sizes) > 0)
                 return _Text(at, sizes), at + sizes
-            dtype = np.dtype(f"<{_DTYPES[what[0]]}")
+            dtype = _DTYPES[what[0]]
             at = self._aligned(at, dtype.itemsize)
             return _Number(dtype, at), at + dtype.itemsize
         element, count = what
-        if element[0] == Nodetype.BASE and element[1][0] != "string":
+        if is_number(element):
             return self._numbers(element, None if of == Nodetype.SEQUENCE else count, at)
         counts: _Place = count
         if of == Nodetype.SEQUENCE:
@@ -249,7 +246,7 @@ class _Walk:
         return self._elements(element, counts, at)
 
     def _numbers(self, element: Any, count: int | None, at: _Place) -> tuple[_Node, _Place]:
-        dtype = np.dtype(f"<{_DTYPES[element[1][0]]}")
+        dtype = _DTYPES[element[1][0]]
         counts: _Place
         if count is None:
             counts, at = self._count(at, dtype.itemsize)
@@ -284,7 +281,7 @@ class _Walk:
     def _count(self, at: _Place, size: int) -> tuple[_Place, _Place]:
         """Read the length of a sequence or string whose elements take at least ``size`` bytes."""
         at = self._aligned(at, 4)
-        counts = self._buffer.read(np.dtype("<u4"), at).astype(np.int64)
+        counts = self._buffer.read(_DTYPES["uint32"], at).astype(np.int64)
         fits = at + 4 + counts * size <= self._buffer.sizes
         self.whole &= fits
         return _same(np.where(fits, counts, 0)), at + 4

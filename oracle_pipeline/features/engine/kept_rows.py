@@ -19,33 +19,33 @@ from oracle_pipeline.features.engine.memory import (
 from oracle_pipeline.features.engine.plugin import Request, Series
 from oracle_pipeline.features.engine.spans import Integers, Span
 
-CARRIED = 20  # last rows of a request that later windows can use
+_CARRIED = 20  # last rows of a request that later windows can use
 _BROKEN_SHARE = 0.1  # of the messages of a topic; if more are broken, its type is wrong
 
 
-class TimedRows(NamedTuple):
+class _TimedRows(NamedTuple):
     """The rows kept of one topic, sorted by time."""
 
     times_ns: Integers  # since the start of the recording, shape (n,)
     values: NDArray[Any]  # shape (n, ...)
 
-    def followed_by(self, later: Self) -> "TimedRows":
+    def followed_by(self, later: Self) -> "_TimedRows":
         """Return these rows, without any after the first of the later ones, and then those."""
         if not len(later.times_ns):
             return self
         older = slice(0, int(self.times_ns.searchsorted(later.times_ns[0])))
         return (
-            TimedRows(
+            _TimedRows(
                 np.concatenate([self.times_ns[older], later.times_ns]),
                 np.concatenate([self.values[older], later.values]),
             )
             if older.stop
-            else TimedRows(*later)
+            else _TimedRows(*later)
         )
 
 
 #: Rows for later windows, by topic and key of the request.
-Carried: TypeAlias = Mapping[tuple[str, Any], TimedRows]
+Carried: TypeAlias = Mapping[tuple[str, Any], _TimedRows]
 
 
 class KeptRows:
@@ -130,7 +130,7 @@ class KeptRows:
         self._blocks.clear()
         del self._numbers[:]
 
-    def close(self, times_ns: Integers, earlier: TimedRows | None) -> str | None:
+    def close(self, times_ns: Integers, earlier: _TimedRows | None) -> str | None:
         """Convert the rows to arrays sorted by time; return a note on messages left out, if any.
 
         Parameters
@@ -154,7 +154,7 @@ class KeptRows:
         if (np.diff(kept_ns) < 0).any():
             order = np.argsort(kept_ns, kind="stable")
             kept_ns, values = kept_ns[order], values[order]
-        rows = TimedRows(kept_ns, values)
+        rows = _TimedRows(kept_ns, values)
         if earlier is not None:
             rows = earlier.followed_by(rows)
         self._times_ns = rows.times_ns
@@ -173,9 +173,9 @@ class KeptRows:
             return np.fromiter(self._rows, dtype=object, count=len(self._rows))
         return np.array(self._rows, dtype=self.request.dtype)
 
-    def last(self) -> TimedRows:
+    def last(self) -> _TimedRows:
         """Return the last rows."""
-        return TimedRows(self._times_ns[-CARRIED:], self._series.values[-CARRIED:])
+        return _TimedRows(self._times_ns[-_CARRIED:], self._series.values[-_CARRIED:])
 
     def within(self, span: Span) -> Series:
         """Return the rows in a span, the same object to each plugin that asks in turn."""

@@ -14,21 +14,16 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
+from oracle_pipeline.bags.cdr import DTYPES, ENCAPSULATION, aligned
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.bags.merging import Messages
 from oracle_pipeline.bags.reader import BagReader
 
 _HEADER = "std_msgs/msg/Header"
-_ENCAPSULATION = 4  # bytes before a message in CDR; its alignment starts after them
+_ENCAPSULATION = len(ENCAPSULATION)
 _LITTLE_ENDIAN = 1  # bit of the second byte
 _SHORTEST_WITH_HEADER = 12  # bytes of a message that has a stamp
-
-_SIZES = {
-    "bool": 1, "byte": 1, "char": 1, "int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4,
-    "uint32": 4, "int64": 8, "uint64": 8, "float32": 4, "float64": 8,
-}  # fmt: skip
-
 
 _FLOATS = tuple((Nodetype.BASE, (name, 0)) for name in ("float32", "float64"))
 _BIG_STAMP, _LITTLE_STAMP = struct.Struct(">iI"), struct.Struct("<iI")
@@ -136,7 +131,7 @@ class MessageLayout:
     def _field(self, store: Typestore, kind: Nodetype, what: Any) -> _Field:
         """Return the layout of a field, for skipping it."""
         if kind == Nodetype.BASE:
-            return _Text() if what[0] == "string" else _Numbers(_SIZES[what[0]], 1)
+            return _Text() if what[0] == "string" else _Numbers(DTYPES[what[0]].itemsize, 1)
         if kind == Nodetype.NAME:
             fields = [self._field(store, *each) for _, each in store.fielddefs[what][1]]
             number = [_Numbers(4, 1)] if what == _HEADER and not self.is_cdr else []
@@ -209,7 +204,7 @@ class _Cursor:
 
     def align(self, size: int) -> None:
         if self.is_cdr:
-            self.position += (_ENCAPSULATION - self.position) % size
+            self.position = _ENCAPSULATION + aligned(self.position - _ENCAPSULATION, size)
 
     def count(self) -> int:
         """Read the length of a sequence or a string."""

@@ -17,14 +17,16 @@ from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.features.engine.columns import ColumnSource
 
 RAYS: Final = 360
-HEIGHT_M: Final = 0.05  # from the plane, or, further away:
-ELEVATION: Final = math.tan(math.radians(1.5))  # over the distance; sensors have a layer each 2 deg
+_HEIGHT_M: Final = 0.05  # from the plane, or, further away:
+_ELEVATION: Final = math.tan(
+    math.radians(1.5)
+)  # over the distance; sensors have a layer each 2 deg
 NEAREST_M, FARTHEST_M = 0.05, 200.0  # limits of returns
 
 _FLOATS = {7: "f4", 8: "f8"}  # by sensor_msgs/msg/PointField
 
 
-class PlanarScan(NamedTuple):
+class _PlanarScan(NamedTuple):
     """The fields of a ``sensor_msgs/msg/LaserScan`` with ranges; or of many, as columns."""
 
     header: Any
@@ -45,14 +47,14 @@ class CutClouds:
         self._decode = decode
 
     @cached_property
-    def _columns(self) -> PlanarScan:
+    def _columns(self) -> _PlanarScan:
         scans = [sliced(self._decode(each)) for each in self.data]
         ranges = np.empty(len(scans), dtype=object)
         ranges[:] = [scan.ranges for scan in scans]
         numbers = (np.full(len(scans), number) for number in scans[0][2:])
-        return PlanarScan(self._clouds.columns().header, ranges, *numbers)
+        return _PlanarScan(self._clouds.columns().header, ranges, *numbers)
 
-    def columns(self) -> PlanarScan:
+    def columns(self) -> _PlanarScan:
         """Return the scans as columns."""
         return self._columns
 
@@ -61,7 +63,7 @@ class CutClouds:
         return CutClouds(self._clouds.some(rows), self._decode)
 
 
-def sliced(cloud: Any) -> PlanarScan:
+def sliced(cloud: Any) -> _PlanarScan:
     """Return the scan of a ``sensor_msgs/msg/PointCloud2``.
 
     Raises
@@ -72,13 +74,13 @@ def sliced(cloud: Any) -> PlanarScan:
     x, y, z = _coordinates(cloud)
     distance = np.hypot(x, y)
     with np.errstate(invalid="ignore"):
-        near = np.abs(z) <= np.maximum(HEIGHT_M, ELEVATION * distance)
+        near = np.abs(z) <= np.maximum(_HEIGHT_M, _ELEVATION * distance)
         near &= (distance >= NEAREST_M) & (distance <= FARTHEST_M)
     ray = np.round((np.arctan2(y[near], x[near]) + math.pi) * (RAYS / (2.0 * math.pi)))
     ranges = np.full(RAYS, np.inf)
     np.minimum.at(ranges, ray.astype(np.int64) % RAYS, distance[near])
     ranges[np.isinf(ranges)] = np.nan
-    return PlanarScan(cloud.header, ranges.astype(np.float32))
+    return _PlanarScan(cloud.header, ranges.astype(np.float32))
 
 
 def _coordinates(cloud: Any) -> list[NDArray[np.float64]]:

@@ -23,7 +23,7 @@ from oracle_pipeline.features.geometry.scans import (
 )
 from oracle_pipeline.features.geometry.transform_tree import SensorMount
 
-SPACING_S = 0.35  # least time between two matched scans
+_SPACING_S = 0.35  # least time between two matched scans
 _LONGEST_S = 1.0  # most time between them
 
 _STEEPEST_RAD = 0.7  # largest turn between two scans
@@ -49,7 +49,7 @@ class Steps(NamedTuple):
 
 
 def steps(scans: RecordedScans | Scans, mount: SensorMount) -> Steps:
-    """Match each scan with the one at least `SPACING_S` before it.
+    """Match each scan with the one at least `_SPACING_S` before it.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def _pairs(stamps_s: Floats) -> tuple[Ints, Ints]:
     last = 0
     for i in range(1, len(stamps_s)):
         passed_s = stamps_s[i] - stamps_s[last]
-        if passed_s >= SPACING_S or passed_s < 0.0:
+        if passed_s >= _SPACING_S or passed_s < 0.0:
             if 0.0 <= passed_s <= _LONGEST_S:
                 before.append(last)
                 after.append(i)

@@ -137,7 +137,7 @@ def in_blocks(
     return [np.concatenate(column) for column in zip(*blocks, strict=True)]
 
 
-def keep_scans(messages: Any) -> tuple[Any, ...]:
+def _keep_scans(messages: Any) -> tuple[Any, ...]:
     """Return the values for `RecordedScans` from ``sensor_msgs/msg/LaserScan``s."""
     return (
         header_stamps_s(messages), frame_names(messages.header.frame_id), messages.angle_min,
@@ -159,4 +159,4 @@ def _valid(messages: Any) -> NDArray[np.object_]:
     return split
 
 
-SCANS = Request(keep_scans, role=SCAN, dtype=object, many=True)
+SCANS = Request(_keep_scans, role=SCAN, dtype=object, many=True)

@@ -23,7 +23,7 @@ from oracle_pipeline.features.engine.plugin import (
 from oracle_pipeline.features.statistics.reduction import quantile_of
 from oracle_pipeline.robots.roles import SCAN
 
-NEAR = 5.0  # percentile over the scans of the nearest return
+_NEAR = 5.0  # percentile over the scans of the nearest return
 _VARIANCE = "variance of the valid ranges in a scan, median over the scans, "
 _NON_FINITE = "share of the ranges in a scan that are inf or NaN, median over the scans, "
 
@@ -75,7 +75,7 @@ def compute(window: Window) -> Values | Missing:
         values[f"{name}_mean"] = float(np.mean(scanners)) if scanners else empty
         values[f"{name}_max"] = max(scanners, default=empty)
     # The largest of the scanners: others may detect a part of the robot.
-    values["clearance"] = max(_of_scanners(window, 2, NEAR), default=empty)
+    values["clearance"] = max(_of_scanners(window, 2, _NEAR), default=empty)
     return values
 
 

@@ -214,7 +214,7 @@ def _correction(poses: Series, motion: OdometryPath) -> PosePath:
     return PosePath.through(stamps_s, pose)
 
 
-def keep_believed(messages: Any) -> tuple[Floats, Floats, Floats, Floats]:
+def _keep_believed(messages: Any) -> tuple[Floats, Floats, Floats, Floats]:
     """Return stamp and pose of ``geometry_msgs/msg/PoseWithCovarianceStamped``s."""
     return header_stamps_s(messages), *poses_of(messages.pose.pose)
 
@@ -224,7 +224,7 @@ def register_features() -> list[FeaturePlugin]:
     """Offer the features of scans and map."""
     topics = SETUP_TOPICS | {
         "map": Request(keep_grids, role=MAP, dtype=object, optional=True, many=True, carried=True),
-        "poses": Request(keep_believed, role=POSE, optional=True, many=True, carried=True),
+        "poses": Request(_keep_believed, role=POSE, optional=True, many=True, carried=True),
     }
     return [FeaturePlugin("map_consistency", "map", FEATURES, compute, topics, prepare=prepare)]
 

@@ -43,7 +43,7 @@ from oracle_pipeline.features.statistics.reduction import (
 )
 from oracle_pipeline.features.statistics.times import nearest
 
-SCANNER_FEATURES = (
+_SCANNER_FEATURES = (
     Feature(
         "scan_residual", "m", 1e-3,
         "distance from a return to the nearest return of another scanner, median, maximum over the "
@@ -60,7 +60,7 @@ SCANNER_FEATURES = (
         "cell, maximum over the cells and the pairs of scanners", "domain",
     ),
 )  # fmt: skip
-RANGE_FEATURES = (
+_RANGE_FEATURES = (
     Feature(
         "range_residual", "m", 5e-3,
         "absolute difference between a Range sensor and the nearest return of a laser scanner in "
@@ -86,7 +86,7 @@ class _Comparison:
     hits: Hits | Missing  # cells of the odometry frame with contradicted returns
 
 
-def prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
+def _prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
     """Compare every scanner with every other, over the whole recording."""
     setup = scanner_setup(window)
     if len(setup.scanners) < 2:
@@ -102,7 +102,7 @@ def prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
     } or Missing("/tf_static connects no two horizontal laser scanners")
 
 
-def compute_scanners(window: Window) -> Values:
+def _compute_scanners(window: Window) -> Values:
     """Reduce the comparisons to the window."""
     comparisons: dict[str, _Comparison] = window.prepared
     apart = "no two scanners measured the same area at the same time"
@@ -123,7 +123,7 @@ def compute_scanners(window: Window) -> Values:
     }
 
 
-def prepare_ranges(window: Window) -> dict[str, Series] | Missing:
+def _prepare_ranges(window: Window) -> dict[str, Series] | Missing:
     """Return each range minus the nearest return in its cone [m], by pair of topics."""
     setup = scanner_setup(window)
     ranges = window.topics["ranges"]
@@ -135,7 +135,7 @@ def prepare_ranges(window: Window) -> dict[str, Series] | Missing:
     } or Missing("/tf_static connects no horizontal range sensor and laser scanner")
 
 
-def compute_ranges(window: Window) -> Values:
+def _compute_ranges(window: Window) -> Values:
     """Reduce the differences to the window."""
     differences: dict[str, Series] = window.prepared
     residual, contradicted = {}, {}
@@ -151,7 +151,7 @@ def compute_ranges(window: Window) -> Values:
     }
 
 
-def keep_ranges(messages: Any) -> tuple[Any, ...]:
+def _keep_ranges(messages: Any) -> tuple[Any, ...]:
     """Return stamp, frame, field of view, limits and range of ``sensor_msgs/msg/Range``s."""
     return (
         header_stamps_s(messages), frame_names(messages.header.frame_id), messages.field_of_view,
@@ -163,16 +163,16 @@ def keep_ranges(messages: Any) -> tuple[Any, ...]:
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of redundant sensors."""
     ranges = {
-        "ranges": Request(keep_ranges, msgtype="sensor_msgs/msg/Range", dtype=object, many=True)
+        "ranges": Request(_keep_ranges, msgtype="sensor_msgs/msg/Range", dtype=object, many=True)
     }
     return [
         FeaturePlugin(
-            "redundant_scanners", "redundancy", SCANNER_FEATURES, compute_scanners, SETUP_TOPICS,
-            prepare=prepare_scanners,
+            "redundant_scanners", "redundancy", _SCANNER_FEATURES, _compute_scanners, SETUP_TOPICS,
+            prepare=_prepare_scanners,
         ),
         FeaturePlugin(
-            "redundant_ranges", "redundancy", RANGE_FEATURES, compute_ranges,
-            SETUP_TOPICS | ranges, prepare=prepare_ranges,
+            "redundant_ranges", "redundancy", _RANGE_FEATURES, _compute_ranges,
+            SETUP_TOPICS | ranges, prepare=_prepare_ranges,
         ),
     ]  # fmt: skip
 

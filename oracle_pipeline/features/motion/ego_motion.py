@@ -1,6 +1,6 @@
 """The motion of the robot according to each stream of a recording: distance and turn.
 
-Each source of motion becomes a `Track`: the distance and turn since the beginning, by stamp. Two
+Each source of motion becomes a `Motion`: the distance and turn since the beginning, by stamp. Two
 tracks are compared by their gains over the same spans, so frames, starting points and earlier drift
 do not matter. Sources are found by message type, not by topic name. ``kinematics`` compares the
 tracks.
@@ -23,7 +23,7 @@ from oracle_pipeline.features.statistics.times import even_spans
 from oracle_pipeline.robots import roles
 from oracle_pipeline.robots.roles import IMU, TRANSFORMS
 
-Frames: TypeAlias = tuple[tuple[str, str], ...]  # parent and child of each transform
+FramePairs: TypeAlias = tuple[tuple[str, str], ...]  # parent and child of each transform
 
 #: What a source measures, and how: kinds of tracks.
 POSE, TWIST, GYRO, ORIENTATION = "pose", "twist", "gyro", "orientation"
@@ -39,10 +39,10 @@ _EXPLAINED = 0.9  # share of the motion that joints must explain to be wheels
 _SAMPLED_S = 0.05  # between the messages of an inertial unit that are read
 _GRAVITY = 9.80665  # [m/s^2]
 _AT_ONCE = 2048  # numbers that are multiplied at once
-_POSITIONS, _VELOCITIES = 2, 3  # columns of what `keep_joints` keeps
+_POSITIONS, _VELOCITIES = 2, 3  # columns of what `_keep_joints` keeps
 
 
-class Track(NamedTuple):
+class Motion(NamedTuple):
     """The motion from one source on one topic; shape (n,) each, stamps ascending."""
 
     topic: str
@@ -52,16 +52,16 @@ class Track(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Sources:
+class MotionSources:
     """All tracks of a recording by kind, and the motion from its scanners."""
 
-    tracks: Mapping[str, Sequence[Track]]
+    tracks: Mapping[str, Sequence[Motion]]
     steps: Mapping[str, Steps]  # by topic of the scanner
     gravity: Mapping[str, Series]  # length of the accelerations that a unit measured [m/s^2]
     unexplained: Mapping[str, Series]  # accelerations less gravity, in the unit's frame; (n, 3)
 
 
-def gain(track: Track, quantity: str, from_s: Floats, to_s: Floats) -> Points:
+def gain(track: Motion, quantity: str, from_s: Floats, to_s: Floats) -> Points:
     """Return the gains of a track over spans; NaN for spans that it does not cover."""
     stamps_s, values = track.stamps_s, track.gained[quantity]
     gained = np.interp(to_s, stamps_s, values) - np.interp(from_s, stamps_s, values)
@@ -69,7 +69,7 @@ def gain(track: Track, quantity: str, from_s: Floats, to_s: Floats) -> Points:
     return np.where(covered, gained, np.nan)
 
 
-def slope(track: Track, quantity: str, from_s: Floats, to_s: Floats) -> Points:
+def slope(track: Motion, quantity: str, from_s: Floats, to_s: Floats) -> Points:
     """Return the derivative of the gains by the time of the spans [1/s]."""
     rates = [
         gain(track, quantity, at_s - _SLOPE_S, at_s + _SLOPE_S) / (2.0 * _SLOPE_S)
@@ -78,7 +78,7 @@ def slope(track: Track, quantity: str, from_s: Floats, to_s: Floats) -> Points:
     return rates[1] - rates[0]
 
 
-def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> Sources:
+def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> MotionSources:
     """Return the sources of motion in the messages on `MOTION_TOPICS`."""
     driven, inertial = topics["driven"], topics["inertial"]
     poses = [_posed(topic, series) for topic, series in _long(driven)]
@@ -97,7 +97,7 @@ def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> 
         }
         for column in (_POSITIONS, _VELOCITIES)
     )
-    tracks: dict[str, list[Track]] = {
+    tracks: dict[str, list[Motion]] = {
         POSE: poses,
         TWIST: [_twisted(topic, series) for topic, series in _long(driven)],
         GYRO: gyros,
@@ -125,10 +125,10 @@ def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> 
         for topic, series, mount in units
     }
     matched = {topic: found for topic, found in matched.items() if len(found.to_s)}
-    return Sources(tracks, matched, gravity, unexplained)
+    return MotionSources(tracks, matched, gravity, unexplained)
 
 
-def keep_driven(messages: Any) -> tuple[Floats, ...]:
+def _keep_driven(messages: Any) -> tuple[Floats, ...]:
     """Return stamp, pose and twist of ``nav_msgs/msg/Odometry``."""
     twist = messages.twist.twist
     return (
@@ -137,7 +137,7 @@ def keep_driven(messages: Any) -> tuple[Floats, ...]:
     )  # fmt: skip
 
 
-def keep_inertial(messages: Any) -> tuple[Floats, ...]:
+def _keep_inertial(messages: Any) -> tuple[Floats, ...]:
     """Return stamp, orientation, turn rates, accelerations and a variance of ``Imu``s.
 
     The variance is the first of the orientation's, -1 if there is no orientation.
@@ -149,17 +149,17 @@ def keep_inertial(messages: Any) -> tuple[Floats, ...]:
     )  # fmt: skip
 
 
-def keep_frame(message: Any) -> str:
+def _keep_frame(message: Any) -> str:
     """Return the frame of a message."""
     return str(message.header.frame_id).lstrip("/")
 
 
-def keep_joints(messages: Any) -> tuple[Any, ...]:
+def _keep_joints(messages: Any) -> tuple[Any, ...]:
     """Return stamp, names, positions and velocities of ``sensor_msgs/msg/JointState``s."""
     return header_stamps_s(messages), messages.name, messages.position, messages.velocity
 
 
-def keep_transforms(messages: Any) -> tuple[list[Frames], list[Floats]]:
+def keep_transforms(messages: Any) -> tuple[list[FramePairs], list[Floats]]:
     """Return parents and children of the transforms of ``TFMessage``s, and their numbers.
 
     Numbers are stamp, translation and rotation; a row for each transform of a message.
@@ -172,7 +172,7 @@ def keep_transforms(messages: Any) -> tuple[list[Frames], list[Floats]]:
     )
     ends = np.searchsorted(each.owners, np.arange(len(messages) + 1)).tolist()
     parts = list(itertools.pairwise(ends))
-    shared: dict[Frames, Frames] = {}  # most messages have the same frames
+    shared: dict[FramePairs, FramePairs] = {}  # most messages have the same frames
     names = [tuple(frames[first:after]) for first, after in parts]
     return (
         [shared.setdefault(each, each) for each in names],
@@ -191,11 +191,11 @@ def keep_command(messages: Any) -> tuple[Floats, Floats, Floats]:
 MOVING = Request(keep_transforms, role=TRANSFORMS, dtype=object, optional=True, many=True)
 MOTION_TOPICS = SETUP_TOPICS | {
     "scans": replace(SCANS, optional=True),
-    "driven": Request(keep_driven, msgtype="nav_msgs/msg/Odometry", optional=True, many=True),
-    "inertial": Request(keep_inertial, role=IMU, every_s=_SAMPLED_S, optional=True, many=True),
-    "inertial_frames": Request(keep_frame, role=IMU, every_s=1e4, dtype=object, optional=True),
+    "driven": Request(_keep_driven, msgtype="nav_msgs/msg/Odometry", optional=True, many=True),
+    "inertial": Request(_keep_inertial, role=IMU, every_s=_SAMPLED_S, optional=True, many=True),
+    "inertial_frames": Request(_keep_frame, role=IMU, every_s=1e4, dtype=object, optional=True),
     "joints": Request(
-        keep_joints, role=roles.JOINTS, dtype=object, every_s=_SAMPLED_S, optional=True, many=True
+        _keep_joints, role=roles.JOINTS, dtype=object, every_s=_SAMPLED_S, optional=True, many=True
     ),
     "transforms": MOVING,
     "commands": Request(
@@ -204,7 +204,7 @@ MOTION_TOPICS = SETUP_TOPICS | {
 }  # fmt: skip
 
 
-class Edge(NamedTuple):
+class MovingTransform(NamedTuple):
     """A transform between two frames over time; shape (n,) each, stamps ascending."""
 
     times_s: Floats
@@ -212,7 +212,7 @@ class Edge(NamedTuple):
     pose: PlanarPose  # of the child in the parent
 
 
-def edges(topics: Mapping[str, Series]) -> dict[tuple[str, str], Edge]:
+def edges(topics: Mapping[str, Series]) -> dict[tuple[str, str], MovingTransform]:
     """Return the transforms of recorded ``TFMessage``s, by parent and child."""
     kept = [each for series in topics.values() for each in series.values]
     if not kept:
@@ -230,17 +230,17 @@ def edges(topics: Mapping[str, Series]) -> dict[tuple[str, str], Edge]:
         rows = np.flatnonzero(of == i)
         rows = rows[np.argsort(columns[rows, 0], kind="stable")]
         stamps_s, x, y, *q = columns[rows].T
-        pose = PlanarPose(x + 1j * y, np.exp(1j * yaw_of(*q)))
-        found[frames] = Edge(received_s[rows], stamps_s, pose)
+        pose = PlanarPose(x + 1j * y, np.exp(1j * _yaw_of(*q)))
+        found[frames] = MovingTransform(received_s[rows], stamps_s, pose)
     return found
 
 
-def yaw_of(x: Floats, y: Floats, z: Floats, w: Floats) -> Floats:
+def _yaw_of(x: Floats, y: Floats, z: Floats, w: Floats) -> Floats:
     """Return the yaw of quaternions [rad]."""
     return np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
-class Joints(NamedTuple):
+class _Joints(NamedTuple):
     """The angles of the joints of one topic; stamps ascending."""
 
     times_s: Floats  # when recorded, since the start of the recording [s]; shape (n,)
@@ -248,7 +248,7 @@ class Joints(NamedTuple):
     angles: Floats  # [rad]; shape (n, joints)
 
 
-def wheels(topic: str, joints: Joints, references: Sequence[Track]) -> Track | None:
+def wheels(topic: str, joints: _Joints, references: Sequence[Motion]) -> Motion | None:
     """Return the motion that joints measure, in radians of a wheel; None if they measure none.
 
     The joints that are wheels, and their directions, are those that best explain the motion from
@@ -267,10 +267,10 @@ def wheels(topic: str, joints: Joints, references: Sequence[Track]) -> Track | N
             direction = _explaining(turned, gains)
             if direction is not None:
                 gained[quantity] = _complex(_weighted(angles, direction))
-    return Track(topic, times_s, at_s, gained) if gained else None
+    return Motion(topic, times_s, at_s, gained) if gained else None
 
 
-def _joints(series: Series, column: int) -> Joints | None:
+def _joints(series: Series, column: int) -> _Joints | None:
     """Return the angles of joints from their positions, or from their integrated velocities.
 
     None if the messages lack them for any joint.
@@ -286,16 +286,16 @@ def _joints(series: Series, column: int) -> Joints | None:
     values = np.stack([np.asarray(told[i], dtype=np.float64) for i in order])
     at_s = stamps_s[order]
     angles = np.unwrap(values, axis=0) if column == _POSITIONS else _summed(at_s, values)
-    return Joints(series.times_s[order], at_s, angles)
+    return _Joints(series.times_s[order], at_s, angles)
 
 
-def _spun(topic: str, joints: Joints) -> Track:
+def _spun(topic: str, joints: _Joints) -> Motion:
     """Return two sums of the angles of all joints, the second with alternating signs.
 
     No change of joints cancels in both.
     """
     signs = 1.0 + 1j * (-1.0) ** np.arange(joints.angles.shape[1])
-    return Track(topic, joints.times_s, joints.stamps_s, {SPIN: _weighted(joints.angles, signs)})
+    return Motion(topic, joints.times_s, joints.stamps_s, {SPIN: _weighted(joints.angles, signs)})
 
 
 def _weighted(rows: Floats, weights: Any) -> Any:
@@ -327,19 +327,19 @@ def _long(topics: Mapping[str, Series]) -> Iterator[tuple[str, Series]]:
     return ((topic, series) for topic, series in topics.items() if len(series.times_s) > 1)
 
 
-def _posed(topic: str, series: Series) -> Track:
+def _posed(topic: str, series: Series) -> Motion:
     rows = np.argsort(series.values[:, 0], kind="stable")
     stamps_s, x, y, yaw = series.values[rows, :4].T
     return _of_poses(topic, series.times_s[rows], stamps_s, x + 1j * y, np.unwrap(yaw))
 
 
-def _of_poses(topic: str, times_s: Floats, stamps_s: Floats, place: Points, yaw: Floats) -> Track:
+def _of_poses(topic: str, times_s: Floats, stamps_s: Floats, place: Points, yaw: Floats) -> Motion:
     step, turn = np.diff(place), np.diff(yaw)
     along = np.concatenate([[0.0], np.cumsum(step * np.exp(-1j * yaw[:-1]) * along_arc(turn))])
-    return Track(topic, times_s, stamps_s, {TRAVEL: _complex(along), TURN: _complex(yaw)})
+    return Motion(topic, times_s, stamps_s, {TRAVEL: _complex(along), TURN: _complex(yaw)})
 
 
-def _transformed(topics: Mapping[str, Series]) -> Iterator[Track]:
+def _transformed(topics: Mapping[str, Series]) -> Iterator[Motion]:
     """Yield the motion of the moving transform with most messages, if there is one."""
     moving = {
         frames: edge
@@ -353,20 +353,20 @@ def _transformed(topics: Mapping[str, Series]) -> Iterator[Track]:
         yield _of_poses(f"{parent} -> {child}", times_s, stamps_s, pose.translation, yaw)
 
 
-def _twisted(topic: str, series: Series) -> Track:
+def _twisted(topic: str, series: Series) -> Motion:
     rows = np.argsort(series.values[:, 0], kind="stable")
     stamps_s, *_, ahead, aside, rate = series.values[rows].T
     speed = ahead + 1j * aside
-    return Track(
+    return Motion(
         topic, series.times_s[rows], stamps_s,
         {TRAVEL: _summed(stamps_s, speed), TURN: _complex(_summed(stamps_s, rate))},
     )  # fmt: skip
 
 
-def _gyro(topic: str, series: Series, mount: PlanarPose) -> Track:
+def _gyro(topic: str, series: Series, mount: PlanarPose) -> Motion:
     stamps_s, values = _by_stamp(series)
     rate = -values[:, 7] if mount.mirrored else values[:, 7]
-    return Track(topic, series.times_s, stamps_s, {TURN: _complex(_summed(stamps_s, rate))})
+    return Motion(topic, series.times_s, stamps_s, {TURN: _complex(_summed(stamps_s, rate))})
 
 
 def _has_orientation(series: Series) -> bool:
@@ -383,13 +383,15 @@ def _up(series: Series, mount: PlanarPose) -> Floats:
     return np.where(told[:, None], up, level)
 
 
-def _oriented(topic: str, series: Series, mount: PlanarPose) -> Track:
+def _oriented(topic: str, series: Series, mount: PlanarPose) -> Motion:
     stamps_s, values = _by_stamp(series)
-    yaw = np.unwrap(yaw_of(*values[:, 1:5].T))
-    return Track(topic, series.times_s, stamps_s, {TURN: _complex(-yaw if mount.mirrored else yaw)})
+    yaw = np.unwrap(_yaw_of(*values[:, 1:5].T))
+    return Motion(
+        topic, series.times_s, stamps_s, {TURN: _complex(-yaw if mount.mirrored else yaw)}
+    )
 
 
-def _commanded(topic: str, series: Series, clock: Track) -> Track:
+def _commanded(topic: str, series: Series, clock: Motion) -> Motion:
     """Return the gains if each command were executed until the next one.
 
     A ``Twist`` has no stamp; it gets the one that the clock's track has at the recorded time.
@@ -404,7 +406,7 @@ def _commanded(topic: str, series: Series, clock: Track) -> Track:
     ):
         after = np.cumsum(rate * held_s)
         gained[quantity] = np.column_stack([np.append(0.0, after[:-1]), after]).ravel()
-    return Track(topic, np.repeat(series.times_s, 2), knots_s, gained)
+    return Motion(topic, np.repeat(series.times_s, 2), knots_s, gained)
 
 
 def _complex(values: Any) -> Points:

@@ -44,8 +44,8 @@ from oracle_pipeline.features.motion.ego_motion import (
     TRAVEL,
     TURN,
     TWIST,
-    Sources,
-    Track,
+    Motion,
+    MotionSources,
     gain,
     slope,
     sources,
@@ -161,7 +161,7 @@ FEATURES = tuple(_features())
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class _PairedGains:
     """The gains of two sources, span by span; shape (n,) each."""
 
     times_s: Floats  # ends of the spans in the recording
@@ -172,26 +172,26 @@ class Comparison:
 
 
 @dataclass(frozen=True, slots=True)
-class Prepared:
+class _Prepared:
     """All comparisons of a recording."""
 
-    pairs: Mapping[Pair, Mapping[str, Comparison]]  # by place: the two topics
+    pairs: Mapping[Pair, Mapping[str, _PairedGains]]  # by place: the two topics
     gravity: Mapping[str, Series]
     unexplained: Mapping[str, Series]
 
 
-def prepare(window: Window) -> Prepared | Missing:
+def prepare(window: Window) -> _Prepared | Missing:
     """Compare every source with every other source of its quantity."""
     found = sources(window.topics, scanner_setup(window))
     pairs = {pair: dict(_compared(found, pair)) for pair in PAIRS}
     if not any(pairs.values()) and not found.gravity:
         return Missing("fewer than two sources measure the robot's motion")
-    return Prepared(pairs, found.gravity, found.unexplained)
+    return _Prepared(pairs, found.gravity, found.unexplained)
 
 
 def compute(window: Window) -> Values:
     """Fit scale and lag to the window's spans."""
-    prepared: Prepared = window.prepared
+    prepared: _Prepared = window.prepared
     values: dict[str, float | Located | Missing] = {}
     for pair, places in prepared.pairs.items():
         fits = {place: _fitted(pair, each, window) for place, each in places.items()}
@@ -266,7 +266,7 @@ def agreement(
     Parameters
     ----------
     first, slope, second, lengths_s : ndarray of shape (n,)
-        As in `Comparison`.
+        As in `_PairedGains`.
     least : float
         Gain in total that a scale needs.
     """
@@ -300,13 +300,13 @@ def register_features() -> list[FeaturePlugin]:
     ]
 
 
-def _compared(found: Sources, pair: Pair) -> Iterator[tuple[str, Comparison]]:
+def _compared(found: MotionSources, pair: Pair) -> Iterator[tuple[str, _PairedGains]]:
     """Yield the gains of each two topics of a pair of kinds, by place."""
     for first in found.tracks[pair.first]:
         if pair.quantity not in first.gained:
             continue
         if pair.second == SCAN:
-            seconds: Mapping[str, Track | Steps] = found.steps
+            seconds: Mapping[str, Motion | Steps] = found.steps
         else:
             seconds = {track.topic: track for track in found.tracks[pair.second]}
         for topic, second in seconds.items():
@@ -318,7 +318,7 @@ def _compared(found: Sources, pair: Pair) -> Iterator[tuple[str, Comparison]]:
                 yield place, compared
 
 
-def _comparison(quantity: str, first: Track, second: Track | Steps) -> Comparison | None:
+def _comparison(quantity: str, first: Motion, second: Motion | Steps) -> _PairedGains | None:
     if isinstance(second, Steps):
         from_s, to_s = second.from_s, second.to_s
         turned = np.asarray(second.turned, dtype=np.complex128)
@@ -335,12 +335,12 @@ def _comparison(quantity: str, first: Track, second: Track | Steps) -> Compariso
     slopes = slope(first, quantity, from_s, to_s)
     known = np.isfinite(ours) & np.isfinite(gained) & np.isfinite(slopes)
     times_s = np.interp(to_s, first.stamps_s, first.times_s)
-    return Comparison(
+    return _PairedGains(
         times_s[known], (to_s - from_s)[known], ours[known], slopes[known], gained[known]
     )
 
 
-def _fitted(pair: Pair, compared: Comparison, window: Window) -> Fit:
+def _fitted(pair: Pair, compared: _PairedGains, window: Window) -> Fit:
     """Return the agreement of a pair in a window."""
     part = within(compared.times_s, window)
     first, slopes, second = compared.first[part], compared.first_slope[part], compared.second[part]

@@ -25,7 +25,7 @@ from oracle_pipeline.features.geometry.transform_tree import TransformTree
 from oracle_pipeline.features.statistics.reduction import quantile
 from oracle_pipeline.robots.roles import PLAN, POSE
 
-BELIEF_FEATURES = (
+_BELIEF_FEATURES = (
     Feature(
         "position_spread", "m", 0.01,
         "standard deviation of the estimated position (square root of var x + var y), median",
@@ -33,7 +33,7 @@ BELIEF_FEATURES = (
     ),
     Feature("yaw_spread", "rad", 0.01, "standard deviation of the yaw, median", "navigation"),
 )  # fmt: skip
-CORRECTION_FEATURES = (
+_CORRECTION_FEATURES = (
     Feature(
         "position_correction", "m", 0.01,
         "distance of a pose from the previous pose propagated by odometry, median", "navigation",
@@ -52,7 +52,7 @@ PLAN_FEATURES = (
 )  # fmt: skip
 
 
-def keep_belief(messages: Any) -> tuple[Floats, ...]:
+def _keep_belief(messages: Any) -> tuple[Floats, ...]:
     """Return stamp, x, y, yaw, variance of the position and variance of the yaw of poses."""
     covariance = messages.pose.covariance
     return (
@@ -61,7 +61,7 @@ def keep_belief(messages: Any) -> tuple[Floats, ...]:
     )  # fmt: skip
 
 
-def compute_belief(window: Window) -> Values:
+def _compute_belief(window: Window) -> Values:
     """Compute from the poses in the window."""
     (poses,) = window.topics["poses"].values()
     spread = np.sqrt(np.maximum(0.0, poses.values[:, 4:]))
@@ -69,7 +69,7 @@ def compute_belief(window: Window) -> Values:
     return {"position_spread": float(position), "yaw_spread": float(yaw)}
 
 
-def prepare_corrections(window: Window) -> tuple[Series, Series]:
+def _prepare_corrections(window: Window) -> tuple[Series, Series]:
     """Return the difference of each pose from the predicted one: distance [m] and yaw [rad]."""
     (poses,) = window.topics["poses"].values()
     (odometry,) = window.topics["odometry"].values()
@@ -86,7 +86,7 @@ def prepare_corrections(window: Window) -> tuple[Series, Series]:
     )
 
 
-def compute_corrections(window: Window) -> Values | Missing:
+def _compute_corrections(window: Window) -> Values | Missing:
     """Reduce to the window."""
     position, yaw = (quantile(series, window, 0.5) for series in window.prepared)
     if np.isnan(position):
@@ -94,7 +94,7 @@ def compute_corrections(window: Window) -> Values | Missing:
     return {"position_correction": position, "yaw_correction": yaw}
 
 
-def keep_plan_starts(messages: Any) -> tuple[Floats, Floats, Floats]:
+def _keep_plan_starts(messages: Any) -> tuple[Floats, Floats, Floats]:
     """Return stamp and first position of ``nav_msgs/msg/Path``s; NaN for an empty one."""
     first = np.searchsorted(messages.poses.owners, np.arange(len(messages)))
     empty = np.bincount(messages.poses.owners, minlength=len(messages)) == 0
@@ -106,7 +106,7 @@ def keep_plan_starts(messages: Any) -> tuple[Floats, Floats, Floats]:
     return header_stamps_s(messages), x, y
 
 
-def prepare_plan_offsets(window: Window) -> Series:
+def _prepare_plan_offsets(window: Window) -> Series:
     """Return the distance from the robot to the start of each plan [m]."""
     (plans,), (poses,), (odometry,) = (
         window.topics[name].values() for name in ("plan", "poses", "odometry")
@@ -121,7 +121,7 @@ def prepare_plan_offsets(window: Window) -> Series:
     return Series(plans.times_s, np.where(last >= 0, offset, np.nan))
 
 
-def compute_plan_offsets(window: Window) -> Values | Missing:
+def _compute_plan_offsets(window: Window) -> Values | Missing:
     """Reduce to the window."""
     offset = quantile(window.prepared, window, 0.5)
     return Missing("no plan in this window") if np.isnan(offset) else {"plan_offset": offset}
@@ -130,17 +130,17 @@ def compute_plan_offsets(window: Window) -> Values | Missing:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of localisation."""
-    poses = {"poses": Request(keep_belief, role=POSE, many=True)}
+    poses = {"poses": Request(_keep_belief, role=POSE, many=True)}
     odometry = {"odometry": ODOMETRY_POSES}
-    plans = {"plan": Request(keep_plan_starts, role=PLAN, many=True)}
+    plans = {"plan": Request(_keep_plan_starts, role=PLAN, many=True)}
     return [
-        FeaturePlugin("belief", "navigation", BELIEF_FEATURES, compute_belief, poses),
+        FeaturePlugin("belief", "navigation", _BELIEF_FEATURES, _compute_belief, poses),
         FeaturePlugin(
-            "corrections", "navigation", CORRECTION_FEATURES, compute_corrections,
-            poses | odometry, prepare=prepare_corrections,
+            "corrections", "navigation", _CORRECTION_FEATURES, _compute_corrections,
+            poses | odometry, prepare=_prepare_corrections,
         ),
         FeaturePlugin(
-            "plan_offsets", "navigation", PLAN_FEATURES, compute_plan_offsets,
-            poses | odometry | plans, prepare=prepare_plan_offsets,
+            "plan_offsets", "navigation", PLAN_FEATURES, _compute_plan_offsets,
+            poses | odometry | plans, prepare=_prepare_plan_offsets,
         ),
     ]  # fmt: skip

@@ -24,7 +24,7 @@ from oracle_pipeline.features.engine.plugin import (
 from oracle_pipeline.features.geometry.odometry_path import keep_odometry
 from oracle_pipeline.features.geometry.planar_pose import PlanarPose, PosePath
 from oracle_pipeline.features.geometry.scans import Floats
-from oracle_pipeline.features.motion.ego_motion import MOVING, Edge, edges
+from oracle_pipeline.features.motion.ego_motion import MOVING, MovingTransform, edges
 from oracle_pipeline.features.statistics.reduction import largest, quantile
 from oracle_pipeline.features.statistics.times import nearest
 
@@ -82,7 +82,7 @@ class _Prepared(NamedTuple):
     jumps: Mapping[str, _Apart]
 
 
-def keep_poses(messages: Any) -> tuple[Any, ...]:
+def _keep_poses(messages: Any) -> tuple[Any, ...]:
     """Return frame, stamp and pose of ``PoseWithCovarianceStamped``s."""
     frames = frame_names(messages.header.frame_id)
     return frames, header_stamps_s(messages), *poses_of(messages.pose.pose)
@@ -142,7 +142,7 @@ def register_features() -> list[FeaturePlugin]:
             keep_odometry, msgtype="nav_msgs/msg/Odometry", dtype=object, optional=True, many=True
         ),
         "poses": Request(
-            keep_poses, msgtype="geometry_msgs/msg/PoseWithCovarianceStamped", dtype=object,
+            _keep_poses, msgtype="geometry_msgs/msg/PoseWithCovarianceStamped", dtype=object,
             optional=True, many=True,
         ),
         "transforms": MOVING,
@@ -165,7 +165,7 @@ def _jumps(times_s: Floats, pose: PlanarPose) -> _Apart:
 
 
 def _localised(
-    topic: str, series: Series, moving: Mapping[tuple[str, str], Edge]
+    topic: str, series: Series, moving: Mapping[tuple[str, str], MovingTransform]
 ) -> Iterator[tuple[str, _Apart]]:
     """Yield how far poses are from where a transform and the one that hangs on it lead.
 

@@ -24,7 +24,7 @@ from oracle_pipeline.features.geometry.scans import Floats
 from oracle_pipeline.features.statistics.reduction import mean
 from oracle_pipeline.robots.roles import COMMAND, REQUESTED_COMMAND
 
-MONITOR_FEATURES = (
+_MONITOR_FEATURES = (
     Feature(
         "monitor_stopped", "1", 0.01,
         "share of non-zero velocity commands that the collision monitor stopped", "navigation",
@@ -41,7 +41,7 @@ MONITOR_FEATURES = (
         "navigation",
     ),
 )  # fmt: skip
-COMMAND_FEATURES = (
+_COMMAND_FEATURES = (
     Feature(
         "command_zero", "1", 0.01, "share of the velocity commands that are zero", "navigation",
         behaviour=True,
@@ -81,14 +81,14 @@ class Answers(NamedTuple):
     altered: Series  # whether something else than a fraction of it was sent
 
 
-def prepare_monitor(window: Window) -> Answers:
+def _prepare_monitor(window: Window) -> Answers:
     """Compare each non-zero command with the monitor's output."""
     (requested,) = window.topics["requested"].values()
     (commands,) = window.topics["commands"].values()
     return answers_of(requested, commands)
 
 
-def compute_monitor(window: Window) -> Values | Missing:
+def _compute_monitor(window: Window) -> Values | Missing:
     """Count what was stopped, slowed down and altered."""
     (times_s, share), altered = window.prepared
     stopped = mean(Series(times_s, (share == 0.0).astype(float)), window)
@@ -120,7 +120,7 @@ def answers_of(asked: Series, answers: Series) -> Answers:
     )
 
 
-def compute_commands(window: Window) -> Values | Missing:
+def _compute_commands(window: Window) -> Values | Missing:
     """Compute from the commands in the window."""
     ((times_s, commands),) = window.topics["commands"].values()
     if len(times_s) < 3:
@@ -150,8 +150,8 @@ def register_features() -> list[FeaturePlugin]:
     requested = {"requested": Request(keep, role=REQUESTED_COMMAND, many=True)}
     return [
         FeaturePlugin(
-            "collision_monitor", "navigation", MONITOR_FEATURES, compute_monitor,
-            commands | requested, prepare=prepare_monitor,
+            "collision_monitor", "navigation", _MONITOR_FEATURES, _compute_monitor,
+            commands | requested, prepare=_prepare_monitor,
         ),
-        FeaturePlugin("commands", "navigation", COMMAND_FEATURES, compute_commands, commands),
+        FeaturePlugin("commands", "navigation", _COMMAND_FEATURES, _compute_commands, commands),
     ]  # fmt: skip

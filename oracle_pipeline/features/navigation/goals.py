@@ -71,14 +71,14 @@ def goals_so_far(window: Window) -> list[Goal] | Missing:
     """Return the goals so far, from the action's status or else from the behavior tree's log."""
     status = sole_series(window.history["status"])
     if status is not None and len(status.times_s):
-        return goals_of_status(status)
+        return _goals_of_status(status)
     log = sole_series(window.history["log"])
     if log is None:
         return Missing("neither a goal status nor a behaviour tree log is recorded")
     return goals_of_log(log)
 
 
-def goals_of_status(series: Series) -> list[Goal]:
+def _goals_of_status(series: Series) -> list[Goal]:
     """Return the goals in messages of ``action_msgs/msg/GoalStatusArray``.
 
     A goal that had ended by its first message belongs to the time before the recording.
@@ -115,17 +115,17 @@ def goals_of_log(series: Series) -> list[Goal]:
     return goals
 
 
-def keep_status(message: Any) -> list[tuple[bytes, int]]:
+def _keep_status(message: Any) -> list[tuple[bytes, int]]:
     """Return identifier and state of each goal."""
     return [(s.goal_info.goal_id.uuid.tobytes(), s.status) for s in message.status_list]
 
 
-def keep_log(message: Any) -> list[str] | None:
+def _keep_log(message: Any) -> list[str] | None:
     """Return the states that the root of the tree changed to; None if it did not change."""
     return [c.current_status for c in message.event_log if c.node_name == _ROOT] or None
 
 
-def keep_plans(messages: Any) -> NDArray[np.float64]:
+def _keep_plans(messages: Any) -> NDArray[np.float64]:
     """Return the lengths of paths [m]."""
     position = messages.poses.pose.position
     begins = np.searchsorted(messages.poses.owners, np.arange(len(messages) + 1)).tolist()
@@ -137,10 +137,10 @@ def keep_plans(messages: Any) -> NDArray[np.float64]:
 
 #: Topics with the states of goals; a robot may lack either.
 GOAL_TOPICS = {
-    "status": Request(keep_status, role=GOAL_STATUS, dtype=object, optional=True, carried=True),
-    "log": Request(keep_log, role=BEHAVIOR_TREE, dtype=object, optional=True, carried=True),
+    "status": Request(_keep_status, role=GOAL_STATUS, dtype=object, optional=True, carried=True),
+    "log": Request(_keep_log, role=BEHAVIOR_TREE, dtype=object, optional=True, carried=True),
 }
-PLANS = Request(keep_plans, role=PLAN, many=True, carried=True)
+PLANS = Request(_keep_plans, role=PLAN, many=True, carried=True)
 
 
 @hookimpl

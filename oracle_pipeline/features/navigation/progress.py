@@ -30,7 +30,7 @@ from oracle_pipeline.features.navigation.goals import GOAL_TOPICS, PLANS, Goal
 from oracle_pipeline.features.statistics.reduction import mean, quantile, within
 from oracle_pipeline.robots.roles import BEHAVIOR_TREE, ODOMETRY
 
-RECOVERY_FEATURES = (
+_RECOVERY_FEATURES = (
     Feature(
         "recoveries", "1/min", 0.5, "recovery behaviours (spin, back up, wait, drive) per "
         "minute", "navigation", behaviour=True,
@@ -54,7 +54,7 @@ PLAN_FEATURES = (
         "navigation", behaviour=True,
     ),
 )  # fmt: skip
-DRIVE_FEATURES = (
+_DRIVE_FEATURES = (
     Feature(
         "path_efficiency", "1", 0.01,
         "length of the first plans over the distance driven, for goals that ended", "navigation",
@@ -100,7 +100,7 @@ class _Drive:
     without_goal: Series  # way since the last message [m], at times without an active goal
 
 
-def keep_begun(message: Any) -> tuple[int, int]:
+def _keep_begun(message: Any) -> tuple[int, int]:
     """Return the numbers of recoveries and clearings that a ``BehaviorTreeLog`` begins."""
     begun = [
         change.node_name
@@ -113,7 +113,7 @@ def keep_begun(message: Any) -> tuple[int, int]:
     )
 
 
-def compute_recoveries(window: Window) -> Values | Missing:
+def _compute_recoveries(window: Window) -> Values | Missing:
     """Count over the window; a silent tree counts as none."""
     if not window.history["log"]:
         return Missing("no behaviour tree log is recorded")
@@ -122,7 +122,7 @@ def compute_recoveries(window: Window) -> Values | Missing:
     return {"recoveries": float(recoveries), "costmap_clearings": float(clearings)}
 
 
-def prepare_plans(window: Window) -> _Plans | Missing:
+def _prepare_plans(window: Window) -> _Plans | Missing:
     """Assign the plans to their goals."""
     accepted = _accepted(window)
     if isinstance(accepted, Missing):
@@ -138,7 +138,7 @@ def prepare_plans(window: Window) -> _Plans | Missing:
     )
 
 
-def compute_plans(window: Window) -> Values:
+def _compute_plans(window: Window) -> Values:
     """Reduce to the window."""
     plans: _Plans = window.prepared
     count = len(plans.made.times_s[within(plans.made.times_s, window)])
@@ -152,7 +152,7 @@ def compute_plans(window: Window) -> Values:
     }
 
 
-def prepare_drive(window: Window) -> _Drive | Missing:
+def _prepare_drive(window: Window) -> _Drive | Missing:
     """Compute the efficiency and stalls of the whole recording."""
     accepted = _accepted(window)
     if isinstance(accepted, Missing):
@@ -165,7 +165,7 @@ def prepare_drive(window: Window) -> _Drive | Missing:
     )
 
 
-def compute_drive(window: Window) -> Values:
+def _compute_drive(window: Window) -> Values:
     """Reduce to the window."""
     drive: _Drive = window.prepared
     idle = Missing(f"no goal was active for {_STALLED_S:g} s")
@@ -211,20 +211,20 @@ def longest(flags: NDArray[np.bool_]) -> int:
 @hookimpl
 def register_features() -> list[FeaturePlugin]:
     """Offer the features of navigation."""
-    begun = {"log": Request(keep_begun, role=BEHAVIOR_TREE, optional=True)}
+    begun = {"log": Request(_keep_begun, role=BEHAVIOR_TREE, optional=True)}
     driven = {
         "plan": replace(PLANS, optional=True),
         "odometry": Request(odometry.keep, role=ODOMETRY, many=True),
     }
     return [
-        FeaturePlugin("recoveries", "navigation", RECOVERY_FEATURES, compute_recoveries, begun),
+        FeaturePlugin("recoveries", "navigation", _RECOVERY_FEATURES, _compute_recoveries, begun),
         FeaturePlugin(
-            "plans", "navigation", PLAN_FEATURES, compute_plans, GOAL_TOPICS | {"plan": PLANS},
-            prepare=prepare_plans,
+            "plans", "navigation", PLAN_FEATURES, _compute_plans, GOAL_TOPICS | {"plan": PLANS},
+            prepare=_prepare_plans,
         ),
         FeaturePlugin(
-            "drive", "navigation", DRIVE_FEATURES, compute_drive, GOAL_TOPICS | driven,
-            prepare=prepare_drive,
+            "drive", "navigation", _DRIVE_FEATURES, _compute_drive, GOAL_TOPICS | driven,
+            prepare=_prepare_drive,
         ),
     ]  # fmt: skip
 

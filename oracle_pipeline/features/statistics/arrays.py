@@ -23,7 +23,7 @@ _BLOCK = 2**16  # numbers per batch
 _SHORTEST, _LONGEST = 16, 2048  # numbers; shorter arrays are channels, not samples of one quantity
 
 
-def array_of(record: RawRecord) -> NDArray[np.floating[Any]] | None:
+def _array_of(record: RawRecord) -> NDArray[np.floating[Any]] | None:
     """Return the array of a message, or the middle of a long one; None if it is too short.
 
     It is a copy of the same precision as the message, to save memory.
@@ -37,7 +37,7 @@ def array_of(record: RawRecord) -> NDArray[np.floating[Any]] | None:
 
 #: Request of plugins that look into arrays: ten messages per second of each topic with arrays.
 ARRAYS = Request(
-    array_of, dtype=object, optional=True, raw=True, every_s=_EVERY_S, needs_array=True
+    _array_of, dtype=object, optional=True, raw=True, every_s=_EVERY_S, needs_array=True
 )
 
 

@@ -15,7 +15,7 @@ Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
 
 MOST_TIMES = 1_000_000
-LONGEST_PAUSE_S = 60.0  # without a stamp, of those that are left out
+_LONGEST_PAUSE_S = 60.0  # without a stamp, of those that are left out
 
 
 def even_times(begin_s: float, end_s: float, step_s: float, *stamps_s: Floats) -> Floats:
@@ -46,7 +46,7 @@ def even_times(begin_s: float, end_s: float, step_s: float, *stamps_s: Floats) -
         return np.arange(begin_s, end_s, step_s)
     known = np.unique(np.concatenate(stamps_s))
     known = known[(known >= begin_s) & (known < end_s)]
-    ends = np.flatnonzero(np.diff(known) > LONGEST_PAUSE_S)
+    ends = np.flatnonzero(np.diff(known) > _LONGEST_PAUSE_S)
     firsts = np.ceil((known[np.append(0, ends + 1)] - begin_s) / step_s)
     lasts = np.floor((known[np.append(ends, len(known) - 1)] - begin_s) / step_s)
     if (count := float((lasts - firsts + 1.0).sum())) > MOST_TIMES:

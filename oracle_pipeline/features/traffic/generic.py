@@ -59,7 +59,7 @@ def _features(
         )
 
 
-TIMING_FEATURES = (
+_TIMING_FEATURES = (
     Feature("message_rate", "1/s", 1.0, "messages of all topics per second"),
     Feature("byte_rate", "B/s", 100.0, "bytes of all topics per second"),
     Feature("silent_topics", "1", 0.01, "share of the topics without messages"),
@@ -83,12 +83,12 @@ TIMING_FEATURES = (
     ),
 )  # fmt: skip
 
-BYTE_FEATURES = (
+_BYTE_FEATURES = (
     *_features("byte_entropy", "bit", 0.02, "entropy of the differences of bytes 8 apart, median"),
     *_features("zlib_ratio", "1", 2e-3, "zlib ratio of the differences of bytes 8 apart, median"),
 )
 
-ARRAY_FEATURES = (
+_ARRAY_FEATURES = (
     *_features("non_finite", "1", 1e-3, "share of inf and NaN in an array, median"),
     *_features("at_limit", "1", 1e-3, "share of an array equal to its maximum or minimum, median"),
     *_features("distinct", "1", 1e-3, "share of distinct numbers in an array, median"),
@@ -105,7 +105,7 @@ class _Rhythm(NamedTuple):
     gap: float  # maximum over the median
 
 
-def prepare_timing(window: Window) -> dict[str, float]:
+def _prepare_timing(window: Window) -> dict[str, float]:
     """Return the steady topics and their periods [s]."""
     duration_s = window.end_s - window.start_s
     steady = {}
@@ -121,7 +121,7 @@ def prepare_timing(window: Window) -> dict[str, float]:
     return steady
 
 
-def compute_timing(window: Window) -> Values | Missing:
+def _compute_timing(window: Window) -> Values | Missing:
     """Compute from the times and sizes of all messages."""
     topics = window.arrivals
     if not topics:
@@ -150,24 +150,24 @@ def compute_timing(window: Window) -> Values | Missing:
     }
 
 
-def compute_bytes(window: Window) -> Values:
+def _compute_bytes(window: Window) -> Values:
     """Compute from the bytes of a few messages of each topic."""
     short = f"no message of {_SHORTEST} bytes or more"
     return _medians(window.topics["messages"], window, ("byte_entropy", "zlib_ratio"), short)
 
 
-def prepare_arrays(window: Window) -> dict[str, Series]:
+def _prepare_arrays(window: Window) -> dict[str, Series]:
     """Return the statistics of each array, shape (n, 5), by topic."""
     return statistics_of_topics(window)
 
 
-def compute_arrays(window: Window) -> Values:
+def _compute_arrays(window: Window) -> Values:
     """Compute from the arrays in messages."""
     none = "no array of floating-point numbers"
     return _medians(window.prepared, window, STATISTICS, none)
 
 
-def keep_bytes(record: RawRecord) -> tuple[float, float] | None:
+def _keep_bytes(record: RawRecord) -> tuple[float, float] | None:
     """Return entropy [bit] and compressibility of the bytes' changes; None if there are few."""
     if len(record.data) < _SHORTEST:
         return None
@@ -181,17 +181,17 @@ def register_features() -> list[FeaturePlugin]:
     """Offer the features of any bag."""
     return [
         FeaturePlugin(
-            "generic_timing", "generic", TIMING_FEATURES, compute_timing,
-            prepare=prepare_timing,
+            "generic_timing", "generic", _TIMING_FEATURES, _compute_timing,
+            prepare=_prepare_timing,
         ),
         FeaturePlugin(
-            "generic_bytes", "generic", BYTE_FEATURES, compute_bytes,
-            {"messages": Request(keep_bytes, raw=True, every_s=_SAMPLED_S, optional=True)},
+            "generic_bytes", "generic", _BYTE_FEATURES, _compute_bytes,
+            {"messages": Request(_keep_bytes, raw=True, every_s=_SAMPLED_S, optional=True)},
         ),
         FeaturePlugin(
-            "generic_arrays", "generic", ARRAY_FEATURES, compute_arrays,
+            "generic_arrays", "generic", _ARRAY_FEATURES, _compute_arrays,
             {"arrays": ARRAYS},
-            prepare=prepare_arrays,
+            prepare=_prepare_arrays,
         ),
     ]  # fmt: skip
 

@@ -25,7 +25,7 @@ from oracle_pipeline.features.engine.plugin import (
 from oracle_pipeline.features.engine.shared import once_for_graph, system_of
 
 Edge: TypeAlias = tuple[str, str]
-Flows: TypeAlias = Mapping[Edge, int]  # messages or bytes by edge
+_Flows: TypeAlias = Mapping[Edge, int]  # messages or bytes by edge
 
 FEATURES = (
     Feature("flow_entropy", "nat", 0.01, "Shannon entropy of the edges' shares of all messages"),
@@ -157,27 +157,27 @@ def _flows(graph: RosGraph, unit: str) -> dict[Edge, int]:
     return {(source, target): edge[unit] for source, target, edge in graph.edges(data=True)}
 
 
-def _shares(flows: Flows) -> dict[Edge, float]:
+def _shares(flows: _Flows) -> dict[Edge, float]:
     total = sum(flows.values())
     return {edge: flow / total if total else 0.0 for edge, flow in flows.items()}
 
 
-def _entropy(flows: Flows) -> float:
+def _entropy(flows: _Flows) -> float:
     shares = np.array([share for share in _shares(flows).values() if share])
     return float(-np.sum(shares * np.log(shares)))
 
 
-def _relative_variance(flows: Flows) -> float:
+def _relative_variance(flows: _Flows) -> float:
     numbers = np.array(list(flows.values()), dtype=np.float64)
     return float(numbers.var() / numbers.mean() ** 2)
 
 
-def _largest_share(flows: Flows) -> Located:
+def _largest_share(flows: _Flows) -> Located:
     edge = max(flows, key=lambda each: (flows[each], each))
     return Located(_shares(flows)[edge], _text(edge))
 
 
-def _central(flows: Flows) -> dict[str, float | Located]:
+def _central(flows: _Flows) -> dict[str, float | Located]:
     busy = {edge: flow for edge, flow in flows.items() if flow}
     vertices = sorted({vertex for edge in busy for vertex in edge})
     number = {vertex: i for i, vertex in enumerate(vertices)}
@@ -192,7 +192,7 @@ def _central(flows: Flows) -> dict[str, float | Located]:
     }
 
 
-def _imbalance(graph: RosGraph, flows: Flows) -> dict[str, float | Located]:
+def _imbalance(graph: RosGraph, flows: _Flows) -> dict[str, float | Located]:
     surplus = {vertex: 0 for vertex in sorted(graph) if graph.nodes[vertex]["kind"] == "node"}
     total = sum(flows.values())
     for (source, target), flow in flows.items():
@@ -223,7 +223,7 @@ def _over_time(changes: list[_Change]) -> dict[str, float | Located | Missing]:
     }
 
 
-def _change(start_s: float, before: Flows, after: Flows) -> _Change:
+def _change(start_s: float, before: _Flows, after: _Flows) -> _Change:
     old, new = _shares(before), _shares(after)
     edges = sorted(old.keys() | new.keys())
     shares = {edge: new.get(edge, 0.0) - old.get(edge, 0.0) for edge in edges}

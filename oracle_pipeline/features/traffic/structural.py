@@ -82,7 +82,7 @@ def compute(window: Window) -> Values | Missing:
     return once_for_graph(_compute, window, window.system)
 
 
-def compute_raw(window: Window) -> Values | Missing:
+def _compute_raw(window: Window) -> Values | Missing:
     """Compute the shape of the whole graph, including observers."""
     assert window.graph is not None  # noqa: S101 -- the plugin needs a graph
     return once_for_graph(_compute, window, window.graph)
@@ -97,7 +97,9 @@ def register_features() -> list[FeaturePlugin]:
     )
     return [
         FeaturePlugin("structural", "structural", FEATURES, compute, needs_graph=True),
-        FeaturePlugin("structural_raw", "structural_raw", shortcuts, compute_raw, needs_graph=True),
+        FeaturePlugin(
+            "structural_raw", "structural_raw", shortcuts, _compute_raw, needs_graph=True
+        ),
     ]
 
 

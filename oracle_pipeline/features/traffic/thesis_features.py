@@ -31,7 +31,7 @@ def _of_run(name: str, unit: str, floor: float, description: str, **more: Any) -
     return Feature(name, unit, floor, f"thesis's code: {description}", per_window=False, **more)
 
 
-STRUCTURAL = (
+_STRUCTURAL = (
     _of_run("max_degree", "1", 1.0, "most frequent degree, the smallest if tied"),
     _of_run("avg_degree", "1", 0.01, "number of vertices over the largest degree plus one"),
     _of_run("density", "1", 1e-4, "edges over all ordered pairs of vertices, m/(n(n-1))"),
@@ -40,7 +40,7 @@ STRUCTURAL = (
     _of_run("avg_centrality", "1", 1e-4, "mean in-degree over n-1, which equals the density"),
     _of_run("variance", "1", 0.1, "variance of the degrees, including observers"),
 )
-CONTEXTUAL = (
+_CONTEXTUAL = (
     _of_run("yaw_variance", "rad^2", 1e-3, "variance of yaw wrapped to (-pi, pi]", origin="domain"),
     _of_run(
         "range_variance", "m^2", 1e-3, "mean over the scans of the variance of their ranges; 0 "
@@ -50,7 +50,7 @@ CONTEXTUAL = (
 )  # fmt: skip
 
 #: Columns in the order of the thesis's vectors.
-VECTOR = tuple(f"thesis.{feature.name}" for feature in (*STRUCTURAL, *CONTEXTUAL))
+VECTOR = tuple(f"thesis.{feature.name}" for feature in (*_STRUCTURAL, *_CONTEXTUAL))
 
 
 def graph_numbers(graph: RosGraph) -> dict[str, float]:
@@ -74,14 +74,14 @@ def graph_numbers(graph: RosGraph) -> dict[str, float]:
     }
 
 
-def compute_structural(window: Window) -> Values | Missing:
+def _compute_structural(window: Window) -> Values | Missing:
     """Compute from the graph of the run as it was recorded: nodes and topics, observers too."""
     assert window.graph is not None  # noqa: S101 -- the plugin needs a graph
     graph = thesis_view(window.graph)
     return graph_numbers(graph) if len(graph) else Missing("the graph has no vertices")
 
 
-def wrapped_yaw(messages: Any) -> NDArray[np.float64]:
+def _wrapped_yaw(messages: Any) -> NDArray[np.float64]:
     """Return yaw [rad] in (-pi, pi] of ``nav_msgs/msg/Odometry``.
 
     Raises
@@ -108,7 +108,7 @@ def _row_variances(ranges: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
     return np.asarray(np.var(ranges.astype(np.float64), axis=1))
 
 
-def compute_contextual(window: Window) -> Values | Missing:
+def _compute_contextual(window: Window) -> Values | Missing:
     """Compute from the robot's odometry and scans; the thesis names topics instead."""
     duration_ns = round((window.end_s - window.start_s) * 1e9) - 1  # the end is exclusive
     if duration_ns == 0:
@@ -130,14 +130,14 @@ def compute_contextual(window: Window) -> Values | Missing:
 def register_features() -> list[FeaturePlugin]:
     """Offer the thesis's ten features."""
     topics = {
-        "odometry": Request(wrapped_yaw, role=ODOMETRY, optional=True, many=True),
+        "odometry": Request(_wrapped_yaw, role=ODOMETRY, optional=True, many=True),
         "scans": Request(range_variance, role=SCAN, optional=True, many=True),
     }
     return [
         FeaturePlugin(
-            "thesis_structural", "thesis", STRUCTURAL, compute_structural, needs_graph=True
+            "thesis_structural", "thesis", _STRUCTURAL, _compute_structural, needs_graph=True
         ),
-        FeaturePlugin("thesis_contextual", "thesis", CONTEXTUAL, compute_contextual, topics),
+        FeaturePlugin("thesis_contextual", "thesis", _CONTEXTUAL, _compute_contextual, topics),
     ]
 
 
