@@ -10,6 +10,7 @@ import json
 import math
 import shlex
 import sys
+import time
 import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ import click
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import PlainTextGroup, version_option
+from oracle_pipeline.checks.check_command import check
 from oracle_pipeline.comparison.compare_command import compare
 from oracle_pipeline.live.watch_command import recover, watch
 from oracle_pipeline.logs.import_command import import_logs
@@ -68,6 +70,7 @@ def main() -> None:
 
 
 main.add_command(import_logs)
+main.add_command(check)
 main.add_command(replay)
 main.add_command(watch)
 main.add_command(recover)
@@ -293,6 +296,8 @@ def score(
     from oracle_pipeline.scoring.reference import read_reference
     from oracle_pipeline.scoring.verdict import Verdict
 
+    started = time.perf_counter()
+
     def write_junit(verdicts: "list[Verdict]") -> None:
         if junit is not None:
             with replacing(junit) as sink:
@@ -321,6 +326,8 @@ def score(
     )
     show = output.as_json if file_format == "json" else output.as_text
     click.echo(show(verdicts, far, normal.notes))
+    if file_format == "text":
+        click.echo(f"{output.tally(verdicts)} in {time.perf_counter() - started:.1f} s")
     write_junit(verdicts)
     if page is not None:
         from oracle_pipeline.replay.picture import picture

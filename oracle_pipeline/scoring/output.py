@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from oracle_pipeline.bags.terminal import aligned_lines
@@ -11,6 +12,7 @@ from oracle_pipeline.scoring.alarms import RATE_PER_H
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.conformal import runs_needed
 from oracle_pipeline.scoring.outliers import outliers
+from oracle_pipeline.scoring.sentences import headline
 from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
 
 # From the best to the worst; the worst of a suite counts.
@@ -28,6 +30,7 @@ _SHOWN: dict[Judgement, str] = {
     "unsupported": "NO VERDICT",
     "error": "COULD NOT JUDGE",
 }
+_TALLIED: dict[Judgement, str] = {"unsupported": "without a verdict", "error": "not judged"}
 _WIDTH = len("NO VERDICT")
 
 RATES = (0.05, 0.01)  # false positive rates for which missing blocks are reported
@@ -55,13 +58,28 @@ def _worst(verdicts: Sequence[Verdict]) -> Judgement:
     return max((verdict.outcome for verdict in verdicts), key=list(EXIT_CODES).index)
 
 
+def tally(verdicts: Sequence[Verdict]) -> str:
+    """Return how many verdicts of each kind there are, the worst kind first.
+
+    Examples
+    --------
+    >>> tally([Verdict("a", "normal"), Verdict("b", "anomalous"), Verdict("c", "normal")])
+    '1 anomalous, 2 normal'
+    """
+    counts = Counter(verdict.outcome for verdict in verdicts)
+    found = [(kind, counts[kind]) for kind in reversed(EXIT_CODES) if counts[kind]]
+    return ", ".join(f"{count} {_TALLIED.get(kind, kind)}" for kind, count in found)
+
+
 def as_json(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> str:
     """Return one JSON object: the worst outcome, and each verdict with its basis."""
     document = {
         "outcome": _worst(verdicts),
         "false_alarm_rate": far,
         "notes": list(notes),
-        "recordings": [dataclasses.asdict(verdict) for verdict in verdicts],
+        "recordings": [
+            {**dataclasses.asdict(verdict), "summary": headline(verdict)} for verdict in verdicts
+        ],
     }
     return json.dumps(document, indent=2, allow_nan=False)
 
@@ -197,6 +215,8 @@ def paragraph(verdict: Verdict, shared: Sequence[str] = ()) -> Iterator[str]:
         f"{_SHOWN[verdict.outcome].ljust(_WIDTH)}  {verdict.recording}  "
         f"p = {verdict.suite_p_value:.3g}{suite}, score {verdict.score:.3g}"
     )
+    if verdict.evidence and verdict.outcome in ("anomalous", "unsupported"):
+        yield f"    {headline(verdict)}"
     yield from (f"    {breach}" for breach in verdict.contract)
     yield from (f"    {line}" for line in beside(verdict))
     if verdict.outcome != "normal":

@@ -103,8 +103,11 @@ def test_a_recording_like_the_reference_passes(bags, reference):
 
 def test_an_anomalous_recording_is_reported_with_evidence_and_time(bags, reference, extracted):
     done = oracle_score(bags["spinning"], "--reference", reference, expect=1)
-    verdict, aspects, *lines = done.stdout.splitlines()
+    verdict, summary, aspects, *lines = done.stdout.splitlines()
     assert verdict.startswith("ANOMALOUS")
+    assert "robot" in summary
+    assert "in normal runs" in summary
+    assert lines[-1].startswith("1 anomalous in ")
     assert aspects.startswith("    Tampering p = ")
     assert "misbehaviour p = " in aspects
     first = lines[next(n for n, line in enumerate(lines) if "usual (5-95 %)" in line) + 1]

@@ -1,0 +1,68 @@
+"""Runs all checks on a recording."""
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from oracle_pipeline.checks import times, values
+from oracle_pipeline.checks.topic import Fault, Topic, read_topics
+from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.robots.robot import find_robots
+
+#: The checks by name; each yields the faults of one topic.
+CHECKS: Mapping[str, Callable[[Topic], Iterator[Fault]]] = {
+    "gap": times.gaps,
+    "late_burst": times.late_bursts,
+    "stamp": times.stamps,
+    "stuck": values.stuck,
+    "jump": values.jumps,
+    "saturation": values.saturation,
+    "limit": values.limits,
+    "not_finite": values.not_finite,
+    "quaternion": values.rotations,
+    "counter": values.counters,  # and "lost"
+}
+_MOST = 0.9  # of the topics with messages: a gap in these is one of the recording
+_FEWEST_TOPICS = 3
+
+
+@np.errstate(invalid="ignore")  # recordings hold NaN and infinity
+def check_recording(path: Path, *, strict: bool = False) -> list[Fault]:
+    """Return the faults of a recording, in order of time.
+
+    Parameters
+    ----------
+    path : Path
+        A run directory, a bag or another log.
+    strict : bool
+        Refuse an incomplete recording.
+
+    Raises
+    ------
+    OracleError
+        If it cannot be read.
+    """
+    with open_run(path, strict=strict) as run:
+        losses = [loss.rstrip(".") for loss in run.bag.losses]
+        faults = [Fault("lost", "", "", 0.0, 0.0, 1.0, "1", 1, loss) for loss in losses]
+        for robot in find_robots(run.bag):
+            topics = read_topics(robot)
+            found = [f for topic in topics for check in CHECKS.values() for f in check(topic)]
+            faults += _joined_gaps(found, topics)
+    return sorted(faults, key=lambda fault: (fault.start_s, fault.topic, fault.check))
+
+
+def _joined_gaps(faults: list[Fault], topics: list[Topic]) -> list[Fault]:
+    """Replace gaps of nearly all topics at the same time by one of the recording."""
+    gaps = [fault for fault in faults if fault.check == "gap"]
+    active = sum(len(topic.times_s) > 0 for topic in topics)
+    if len(gaps) < max(_FEWEST_TOPICS, _MOST * active):
+        return faults
+    start_s, end_s = max(g.start_s for g in gaps), min(g.end_s for g in gaps)
+    if start_s >= end_s:
+        return faults
+    size = end_s - start_s
+    text = f"no topic has a message for {size:.4g} s at {start_s:.2f} s: the recorder stood still"
+    joined = Fault("gap", "", "", start_s, end_s, size, "s", 1, text)
+    return [joined, *(fault for fault in faults if fault.check != "gap")]

@@ -1,0 +1,251 @@
+"""Checks of the numbers in messages: stuck, jumping, out of range, not finite, not a rotation."""
+
+import math
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.checks.topic import (
+    FEWEST,
+    Fault,
+    Floats,
+    Signal,
+    Topic,
+    runs,
+    signals_of,
+    worst,
+)
+from oracle_pipeline.features.signals.units import period_of
+
+_STUCK_MESSAGES, _STUCK_S = 10, 1.0  # a stuck stretch has both
+_LONGER = 10.0  # so many times longer than any other stretch of equal numbers
+_VELOCITIES = ("m/s", "rad/s")
+_MOTION = ("nav_msgs/", "geometry_msgs/", "tf2_msgs/", "ackermann_msgs/", "sensor_msgs/msg/Joint")
+_PLACES = ("x", "y", "z", "latitude", "longitude")
+_JUMP, _USUAL = 30.0, 0.99  # a jump, in steps of this quantile
+_FASTEST = 5.0  # slower than this no jump of a position is told [m/s]
+_METRES_PER_DEGREE = 111_320.0
+_EQUAL_SHARE, _EQUAL_RUN, _DISTINCT = 0.05, 10, 50  # of a saturated signal
+_MEASURED = ("m/s^2", "rad/s", "N", "N m", "T", "A", "V")
+_NORM = 0.01  # tolerance of a quaternion's norm
+_COUNTS = 0.95  # of a counter's steps are equal
+
+#: Smallest and largest number that a field can hold, by message type and field.
+LIMITS: Mapping[tuple[str, str], tuple[float, float]] = {
+    ("sensor_msgs/msg/NavSatFix", "latitude"): (-90.0, 90.0),
+    ("sensor_msgs/msg/NavSatFix", "longitude"): (-180.0, 180.0),
+    ("sensor_msgs/msg/BatteryState", "percentage"): (0.0, 1.0),
+    ("sensor_msgs/msg/BatteryState", "voltage"): (0.0, 1000.0),
+    ("sensor_msgs/msg/FluidPressure", "fluid_pressure"): (0.0, math.inf),
+    ("sensor_msgs/msg/Imu", "angular_velocity"): (-100.0, 100.0),
+    ("sensor_msgs/msg/Imu", "linear_acceleration"): (-1000.0, 1000.0),
+    ("sensor_msgs/msg/LaserScan", "ranges.min"): (0.0, math.inf),
+    ("sensor_msgs/msg/Range", "range"): (0.0, math.inf),
+    ("sensor_msgs/msg/RelativeHumidity", "relative_humidity"): (0.0, 1.0),
+    ("sensor_msgs/msg/Temperature", "temperature"): (-273.15, math.inf),
+}
+
+
+def stuck(topic: Topic) -> Iterator[Fault]:
+    """Find stretches in which numbers that always change are all the same.
+
+    A topic is stuck if all its lively signals are. A robot that stands still is not: what it
+    commands, or believes about its motion, may be constant.
+    """
+    lively = [signal for signal in signals_of(topic) if signal.is_lively]
+    if not lively or len({len(signal.values) for signal in lively}) > 1:
+        return
+    same = np.all([np.diff(signal.values) == 0.0 for signal in lively], axis=0)
+    times_s = lively[0].times_s
+    found = _long(runs(same), times_s)
+    if topic.msgtype.startswith(_MOTION):
+        found = found[[_moves(lively, first) for first in found[:, 0].tolist()]]
+    if len(found):
+        spans = np.column_stack([times_s[found[:, 0]], times_s[found[:, 1]]])
+        names = ", ".join(signal.name for signal in lively[:3])
+        more = f" and {len(lively) - 3} more" if len(lively) > 3 else ""
+        yield worst(
+            "stuck", topic.name, "", spans, spans[:, 1] - spans[:, 0], "s",
+            f"{names}{more} do not change for {{size}} s from {{at}} on",
+        )  # fmt: skip
+
+
+def _long(found: NDArray[np.int64], times_s: Floats) -> NDArray[np.int64]:
+    """Return the stretches that are long, and much longer than all that are not."""
+    lengths = found[:, 1] - found[:, 0]
+    is_long = (lengths >= _STUCK_MESSAGES) & (
+        times_s[found[:, 1]] - times_s[found[:, 0]] >= _STUCK_S
+    )
+    usual = int(lengths[~is_long].max(initial=1))
+    return found[is_long & (lengths >= _LONGER * usual)]
+
+
+def _moves(lively: list[Signal], row: int) -> bool:
+    """Return whether the robot has a velocity at a message."""
+    return any(s.unit in _VELOCITIES and abs(s.values[row]) > 1e-3 for s in lively)
+
+
+def jumps(topic: Topic) -> Iterator[Fault]:
+    """Find places that jump: steps far larger than nearly all others, after which they stay.
+
+    Only places are looked at, since velocities and forces may change at once.
+    """
+    for signal in signals_of(topic):
+        if not _is_place(topic, signal) or len(signal.values) < 4 * FEWEST:
+            continue
+        values = _unwrapped(signal)
+        steps = np.diff(values)
+        usual = float(np.quantile(np.abs(steps[steps != 0.0]), _USUAL))
+        found = np.flatnonzero(np.abs(steps) > _JUMP * usual)
+        found = found[[_stays(values, at) for at in found.tolist()]]
+        scale = _METRES_PER_DEGREE if signal.unit == "deg" else 1.0
+        took_s = np.maximum(np.diff(signal.times_s)[found], 1e-3)
+        found = found[np.abs(steps[found]) * scale / took_s > _FASTEST]
+        if len(found):
+            spans = np.column_stack([signal.times_s[found], signal.times_s[found + 1]])
+            usual_text = f"nearly all steps are below {usual:.3g}"
+            yield worst(
+                "jump", topic.name, signal.name, spans, steps[found], signal.unit,
+                f"{signal.name} jumps by {{size}}{_of(signal.unit)} at {{at}}; {usual_text}",
+            )  # fmt: skip
+
+
+def _is_place(topic: Topic, signal: Signal) -> bool:
+    """Return whether a signal is where something is, and neither a command nor a mean of many."""
+    above, _, last = signal.name.rpartition(".")
+    several = any(f"{above}.length" in signals.names for signals in topic.signals)
+    named = last.rpartition("_")[2] in _PLACES and signal.unit in ("m", "deg", "")
+    return named and not several and signal.is_lively
+
+
+def _unwrapped(signal: Signal) -> Floats:
+    values = signal.values[np.isfinite(signal.values)]
+    if len(values) < len(signal.values):
+        values = np.interp(
+            signal.times_s, signal.times_s[np.isfinite(signal.values)], values
+        )  # fmt: skip
+    period = period_of(signal.name, signal.unit, float(np.abs(values).max()))
+    return np.unwrap(values, period=period) if period else values
+
+
+def _stays(values: Floats, at: int) -> bool:
+    """Return whether numbers after a step are far from those before it."""
+    before, after = values[max(0, at - 4) : at + 1], values[at + 1 : at + 6]
+    step = abs(values[at + 1] - values[at])
+    return len(after) > 1 and bool(abs(np.median(after) - np.median(before)) > 0.5 * step)
+
+
+def saturation(topic: Topic) -> Iterator[Fault]:
+    """Find measurements that rest at their largest or smallest number."""
+    if topic.msgtype.startswith(("geometry_msgs/msg/Twist", "nav_msgs/")):
+        return  # commands and their results have limits
+    for signal in signals_of(topic):
+        if signal.unit not in _MEASURED or not signal.is_lively:
+            continue
+        if len(np.unique(signal.values)) < _DISTINCT:
+            continue
+        for limit in (float(np.nanmax(signal.values)), float(np.nanmin(signal.values))):
+            at_limit = signal.values == limit
+            found = runs(at_limit)
+            longest = int((found[:, 1] - found[:, 0]).max(initial=0))
+            if at_limit.mean() >= _EQUAL_SHARE and longest >= _EQUAL_RUN:
+                ends = np.minimum(found[:, 1], len(signal.values) - 1)
+                spans = np.column_stack([signal.times_s[found[:, 0]], signal.times_s[ends]])
+                yield worst(
+                    "saturation", topic.name, signal.name, spans, spans[:, 1] - spans[:, 0], "s",
+                    f"{signal.name} rests at its limit of {limit:.4g}{_of(signal.unit)} for "
+                    "{size} s from {at} on",
+                )  # fmt: skip
+
+
+def limits(topic: Topic) -> Iterator[Fault]:
+    """Find numbers beyond what their type or physics allow."""
+    for signal in signals_of(topic):
+        low, high = _limits(topic.msgtype, signal.name)
+        beyond = np.maximum(low - signal.values, signal.values - high)
+        found = np.flatnonzero(np.isfinite(signal.values) & (beyond > 0.0))
+        if len(found):
+            yield worst(
+                "limit", topic.name, signal.name, _at(signal, found), signal.values[found],
+                signal.unit,
+                f"{signal.name} is {{size}}{_of(signal.unit)} at {{at}}; it must be between "
+                f"{low:g} and {high:g}",
+            )  # fmt: skip
+
+
+def _limits(msgtype: str, name: str) -> tuple[float, float]:
+    return next(
+        (
+            both
+            for (of, field), both in LIMITS.items()
+            if of == msgtype and f"{name}.".startswith(f"{field}.")
+        ),
+        (-math.inf, math.inf),
+    )
+
+
+def not_finite(topic: Topic) -> Iterator[Fault]:
+    """Find NaN and infinity in signals that are finite as a rule."""
+    if topic.msgtype == "sensor_msgs/msg/Range":
+        return  # infinity is "no return" there, REP 117
+    for signal in signals_of(topic):
+        bad = ~np.isfinite(signal.values)
+        bad[: int(np.argmin(bad))] = False  # before the first number there was none yet
+        found = np.flatnonzero(bad)
+        if len(found) and bad.mean() < 0.5 and len(bad) >= FEWEST:
+            yield worst(
+                "not_finite", topic.name, signal.name, _at(signal, found), np.ones(len(found)),
+                "1", f"{signal.name} is NaN or infinite {{count}} times, first at {{at}}",
+            )  # fmt: skip
+
+
+def rotations(topic: Topic) -> Iterator[Fault]:
+    """Find quaternions whose norm is not 1. Where all are 0, there is no orientation."""
+    for signal in signals_of(topic):
+        if not signal.name.endswith(".norm") or not np.any(signal.values > 0.0):
+            continue
+        off = np.abs(signal.values - 1.0)
+        found = np.flatnonzero(off > _NORM)
+        if len(found):
+            yield worst(
+                "quaternion", topic.name, signal.name, _at(signal, found), off[found], "1",
+                f"the norm of {signal.name.removesuffix('.norm')} is off 1 by {{size}} at {{at}}, "
+                "{count} times in all",
+            )  # fmt: skip
+
+
+def counters(topic: Topic) -> Iterator[Fault]:
+    """Find counters that go back, or skip numbers: messages were lost."""
+    for signal in signals_of(topic):
+        steps = np.diff(signal.values)
+        if len(steps) < FEWEST or not np.all(np.mod(signal.values, 1.0) == 0.0):
+            continue
+        step = float(np.median(steps))
+        if step <= 0.0 or np.mean(steps == step) < _COUNTS:
+            continue
+        back, skipped = np.flatnonzero(steps < 0.0), np.flatnonzero(steps > 1.5 * step)
+        if len(back):
+            yield worst(
+                "counter", topic.name, signal.name, _between(signal, back), steps[back], "1",
+                f"{signal.name} goes back by {{size}} at {{at}}, {{count}} times in all",
+            )  # fmt: skip
+        if len(skipped):
+            lost = steps[skipped] / step - 1.0
+            yield worst(
+                "lost", topic.name, signal.name, _between(signal, skipped), lost, "1",
+                f"{signal.name} skips {{size}} numbers at {{at}}; {lost.sum():.0f} messages are "
+                "lost in all",
+            )  # fmt: skip
+
+
+def _at(signal: Signal, rows: NDArray[np.int64]) -> Floats:
+    return np.column_stack([signal.times_s[rows], signal.times_s[rows]])
+
+
+def _between(signal: Signal, steps: NDArray[np.int64]) -> Floats:
+    return np.column_stack([signal.times_s[steps], signal.times_s[steps + 1]])
+
+
+def _of(unit: str) -> str:
+    return f" {unit}" if unit not in ("", "1") else ""

@@ -1,0 +1,165 @@
+"""Each fault of a sensor, a clock or the transport is found where it is; a sound drive has none."""
+
+import json
+from collections.abc import Callable
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+from oracle_pipeline.checks.run import CHECKS, check_recording
+from oracle_pipeline.cli import main
+from tests.oracle_pipeline.checks.drives import AT_S, Tables, drive, sound_drive
+
+
+def frozen_imu(tables: Tables) -> None:
+    imu = tables["imu"]
+    frozen = imu.Time.between(AT_S, AT_S + 3.0)
+    for column in imu.columns[1:]:
+        imu.loc[frozen, column] = imu.loc[frozen, column].iloc[0]
+
+
+def frozen_odometry(tables: Tables) -> None:
+    odometry = tables["odom"]
+    frozen = odometry.Time.between(AT_S, AT_S + 3.0)
+    for column in odometry.columns[1:]:
+        odometry.loc[frozen, column] = odometry.loc[frozen, column].iloc[0]
+
+
+def silent_scanner(tables: Tables) -> None:
+    tables["imu"] = tables["imu"][~tables["imu"].Time.between(AT_S, AT_S + 2.0)]
+
+
+def held_back(tables: Tables) -> None:
+    times = tables["imu"].Time.to_numpy(copy=True)
+    late = (times >= AT_S) & (times < AT_S + 1.0)
+    times[late] = AT_S + 1.0 + np.arange(late.sum()) * 1e-5
+    tables["imu"]["Time"] = times
+
+
+def gps_jump(tables: Tables) -> None:
+    gps = tables["gps"]
+    gps.loc[gps.Time >= AT_S, "latitude"] += 22.0 / 111_320.0
+
+
+def odometry_jump(tables: Tables) -> None:
+    odometry = tables["odom"]
+    odometry.loc[odometry.Time >= AT_S, "pose.pose.position.x"] += 3.0
+
+
+def saturated_gyroscope(tables: Tables) -> None:
+    imu = tables["imu"]
+    imu.loc[imu.Time.between(AT_S, AT_S + 3.0), "angular_velocity.z"] = 2.0
+
+
+def impossible_latitude(tables: Tables) -> None:
+    tables["gps"].loc[tables["gps"].Time >= AT_S, "latitude"] = 93.0
+
+
+def nan_acceleration(tables: Tables) -> None:
+    imu = tables["imu"]
+    imu.loc[imu.Time.between(AT_S, AT_S + 0.1), "linear_acceleration.x"] = np.nan
+
+
+def scaled_quaternion(tables: Tables) -> None:
+    imu = tables["imu"]
+    imu.loc[imu.Time >= AT_S, [f"orientation.{axis}" for axis in "xyzw"]] *= 0.9
+
+
+def stamps_back(tables: Tables) -> None:
+    odometry = tables["odom"]
+    row = int(np.searchsorted(odometry.Time, AT_S))
+    odometry.loc[row, "header.stamp.sec"] -= 4
+
+
+def counter_back(tables: Tables) -> None:
+    tables["status"].loc[tables["status"].Time >= AT_S, "count"] -= 300
+
+
+def lost_messages(tables: Tables) -> None:
+    tables["status"].loc[tables["status"].Time >= AT_S, "count"] += 40
+
+
+FAULTS: dict[Callable[[Tables], None], tuple[str, str, float]] = {
+    frozen_imu: ("stuck", "/imu", 3.0),
+    frozen_odometry: ("stuck", "/odom", 3.0),
+    silent_scanner: ("gap", "/imu", 2.0),
+    held_back: ("late_burst", "/imu", 1.0),
+    gps_jump: ("jump", "/gps", 22.0 / 111_320.0),
+    odometry_jump: ("jump", "/odom", 3.0),
+    saturated_gyroscope: ("saturation", "/imu", 3.0),
+    impossible_latitude: ("limit", "/gps", 93.0),
+    nan_acceleration: ("not_finite", "/imu", 1.0),
+    scaled_quaternion: ("quaternion", "/imu", 0.1),
+    stamps_back: ("stamp", "/odom", 4.0),
+    counter_back: ("counter", "/status", -300.0),
+    lost_messages: ("lost", "/status", 40.0),
+}
+
+
+@pytest.mark.parametrize("alter", FAULTS, ids=lambda alter: alter.__name__)
+def test_fault_is_found_with_its_topic_time_and_size(alter, tmp_path):
+    check, topic, size = FAULTS[alter]
+    found = check_recording(drive(tmp_path, alter))
+    (fault,) = [each for each in found if (each.check, each.topic) == (check, topic)][:1]
+    assert fault.size == pytest.approx(size, rel=0.1)
+    assert fault.start_s == pytest.approx(AT_S, abs=0.3)
+    assert f"{fault.start_s:.2f} s" in fault.text or "{" not in fault.text
+
+
+def test_every_check_has_a_fault_that_it_finds():
+    assert {check for check, _, _ in FAULTS.values()} == {*CHECKS, "lost"}
+
+
+@given(st.integers(0, 10_000))
+def test_sound_drive_has_no_fault(tmp_path_factory, seed):
+    folder = tmp_path_factory.mktemp("drive")
+    assert check_recording(sound_drive(folder, seed)) == []
+
+
+def test_robot_that_stands_still_is_not_stuck(tmp_path):
+    def stop(tables: Tables) -> None:
+        frozen_odometry(tables)
+        standing = tables["odom"].Time.between(AT_S, AT_S + 3.0)
+        for column in [c for c in tables["odom"] if c.startswith("twist")]:
+            tables["odom"].loc[standing, column] = 0.0
+
+    assert "stuck" not in {fault.check for fault in check_recording(drive(tmp_path, stop))}
+
+
+def test_gap_in_all_topics_is_one_fault_of_the_recording(tmp_path):
+    def stop_recorder(tables: Tables) -> None:
+        for name, table in tables.items():
+            tables[name] = table[~table.Time.between(AT_S, AT_S + 4.0)]
+
+    found = check_recording(drive(tmp_path, stop_recorder))
+    (fault,) = [fault for fault in found if fault.check == "gap"]
+    assert fault.topic == ""
+    assert "the recorder stood still" in fault.text
+
+
+def test_command_reports_faults_in_all_forms(tmp_path):
+    bad, good = drive(tmp_path / "bad", frozen_imu), sound_drive(tmp_path / "good", 0)
+    junit, page = tmp_path / "checks.xml", tmp_path / "checks.html"
+    arguments = ["check", str(bad), str(good), "--junit", str(junit), "--page", str(page)]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 1
+    assert result.stdout.splitlines()[-1] == "1 with faults, 1 without, 0 not checked"
+    suite = ElementTree.parse(junit).getroot()  # noqa: S314 -- our own file
+    assert suite.get("failures") == "1"
+    assert "do not change for 3 s" in page.read_text()
+    result = CliRunner().invoke(main, ["check", str(good), "--format", "json"])
+    assert result.exit_code == 0
+    assert json.loads(result.stdout)["recordings"][0]["faults"] == []
+
+
+def test_unreadable_recording_is_named_and_the_others_are_checked(tmp_path):
+    good = sound_drive(tmp_path / "good", 0)
+    (tmp_path / "broken.mcap").write_bytes(b"no bag")
+    result = CliRunner().invoke(main, ["check", str(tmp_path / "broken.mcap"), str(good)])
+    assert result.exit_code == 2
+    assert "broken.mcap: could not be checked" in result.stdout
+    assert "good: no fault found" in result.stdout

@@ -1,0 +1,65 @@
+"""Every built-in feature and every outcome has a sentence that a person understands."""
+
+import re
+
+import pytest
+
+from oracle_pipeline.features import build_manager
+from oracle_pipeline.scoring.sentences import _PHRASES, headline, sentence
+from oracle_pipeline.scoring.verdict import Evidence, Verdict
+
+FEATURES = build_manager().features()
+
+
+def evidence(feature: str, where: str | None = "/scan", z: float = 9.0) -> Evidence:
+    unit = FEATURES[feature].unit if feature in FEATURES else "m"
+    return Evidence(feature, z, False, 2.5, unit, 0.5, 1.0, where, 12.5)
+
+
+@pytest.mark.parametrize("feature", FEATURES)
+def test_sentence_says_how_much_usual_and_when(feature):
+    for where in (None, "/scan", "/scan against /odom"):
+        told = sentence(evidence(feature, where))
+        assert "2.5" in told
+        assert "0.5 to 1" in told
+        assert told.endswith("most of all from 12.5 s on.")
+        assert not re.search(r"[{}]|  |\bof  |None", told)
+
+
+@pytest.mark.parametrize("phrase", [phrase for _, phrase in _PHRASES])
+def test_every_phrase_is_used(phrase):
+    from oracle_pipeline.scoring.sentences import _phrase
+
+    assert any(_phrase(feature) == phrase for feature in FEATURES)
+
+
+def test_feature_without_a_phrase_is_called_a_statistic():
+    assert sentence(evidence("my_plugin.value")).startswith(
+        "Only a statistic is unusual: my_plugin"
+    )
+
+
+def test_headline_prefers_what_people_understand_unless_another_is_much_farther():
+    statistic, clear = evidence("my_plugin.value", z=50.0), evidence("contextual.speed", z=30.0)
+    near = Verdict("bag", "anomalous", evidence=(statistic, clear))
+    far = Verdict("bag", "anomalous", evidence=(statistic, evidence("contextual.speed", z=9.0)))
+    assert headline(near).startswith("The robot drove at 2.5 m/s on average")
+    assert headline(far).startswith("Only a statistic is unusual")
+
+
+@pytest.mark.parametrize(
+    ("verdict", "told"),
+    [
+        (Verdict("bag", "error", error="There is no bag."), "There is no bag."),
+        (Verdict("bag", "normal"), "It behaved as the normal runs did."),
+        (Verdict("bag", "breach", contract=("Topic /a is gone.", "b")), "Topic /a is gone."),
+        (Verdict("bag", "anomalous"), "none of them alone is."),
+        (
+            Verdict("bag", "unsupported", evidence=(evidence("contextual.speed"),)),
+            "Most unusual: the robot drove at 2.5 m/s",
+        ),
+    ],
+    ids=lambda value: value.outcome if isinstance(value, Verdict) else "",
+)
+def test_every_outcome_has_a_headline(verdict, told):
+    assert told in headline(verdict)
