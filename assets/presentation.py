@@ -67,20 +67,25 @@ def _cell(row: "pd.Series", name: str) -> str:
 
 
 def columns(df: "pd.DataFrame") -> dg.TableSchema:
-    """Return a feature table's columns with unit and meaning, for the Columns tab."""
-    from oracle_pipeline.datasets import field_metadata
+    """Return a feature table's columns with unit and meaning, for the Columns tab.
 
-    fields = field_metadata(df)
-    return dg.TableSchema(
-        [
-            dg.TableColumn(
-                str(name),
-                str(dtype),
-                description=_KEYS.get(str(name)) or _meaning(fields.get(str(name), {})),
-            )
-            for name, dtype in df.dtypes.items()
-        ]
-    )
+    Signals are one column, as in the file.
+    """
+    from oracle_pipeline.datasets import field_metadata, signal_columns
+
+    fields, signals = field_metadata(df), signal_columns(df)
+    shown = [
+        dg.TableColumn(
+            str(name),
+            str(dtype),
+            description=_KEYS.get(str(name)) or _meaning(fields.get(str(name), {})),
+        )
+        for name, dtype in df.drop(columns=signals).dtypes.items()
+    ]
+    if signals:
+        about = f"{len(signals)} statistics of signals: name, declaration and value"
+        shown.append(dg.TableColumn("signals", "list", description=about))
+    return dg.TableSchema(shown)
 
 
 def columns_of(place: Path) -> dg.TableSchema:

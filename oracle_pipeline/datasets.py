@@ -25,6 +25,7 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import LABELS
 from oracle_pipeline.bags.remote import is_local
 from oracle_pipeline.bags.scratch import scratch_beside
+from oracle_pipeline.signal_column import COLUMN, packed, unpacked
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -274,12 +275,17 @@ def table_bytes(df: pd.DataFrame) -> bytes:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    fields = field_metadata(df)
-    table = pa.Table.from_pandas(df, preserve_index=False).replace_schema_metadata(None)
+    fields, signals = field_metadata(df), signal_columns(df)
+    others = df.drop(columns=signals)
+    table = pa.Table.from_pandas(others, preserve_index=False).replace_schema_metadata(None)
+    if signals:
+        place = df.columns.tolist().index(signals[0])
+        column = packed(signals, fields, df[signals].to_numpy(dtype=np.float64))
+        table = table.add_column(place, COLUMN, column)
     schema = pa.schema([field.with_metadata(fields.get(field.name)) for field in table.schema])
     sealed = table.cast(schema).replace_schema_metadata({_SEAL: seals.BLANK})
     whole = io.BytesIO()
-    pq.write_table(sealed, whole)
+    pq.write_table(sealed, whole, compression="zstd")
     content = bytearray(whole.getbuffer())
     seals.seal(content)
     return bytes(content)
@@ -328,6 +334,7 @@ def parse_table(
 
     As `read_table`, including errors.
     """
+    import pandas as pd
     import pyarrow as pa
     import pyarrow.compute as pc
     import pyarrow.parquet as pq
@@ -348,14 +355,28 @@ def parse_table(
         raise DatasetError(
             f"{name} is not a Parquet table ({error}); materialize it again."
         ) from error
-    df: pd.DataFrame = table.replace_schema_metadata(None).to_pandas()
-    df.attrs["fields"] = Fields(
+    fields = Fields(
         {
             field.name: {key.decode(): value.decode() for key, value in field.metadata.items()}
             for field in table.schema
             if field.metadata
         }
     )
+    df: pd.DataFrame
+    if COLUMN in table.column_names:
+        place = table.column_names.index(COLUMN)
+        try:
+            signals = unpacked(table[COLUMN].combine_chunks())
+        except ValueError as error:
+            raise DatasetError(f"{name} cannot be read: {error}.") from error
+        others = table.drop_columns([COLUMN]).replace_schema_metadata(None).to_pandas()
+        of_signals = pd.DataFrame(signals.values, columns=signals.names, index=others.index)
+        parts = [others.iloc[:, :place], of_signals, others.iloc[:, place:]]
+        df = pd.concat(parts, axis=1)
+        fields |= signals.fields
+    else:
+        df = table.replace_schema_metadata(None).to_pandas()
+    df.attrs["fields"] = fields
     return df
 
 

@@ -24,7 +24,7 @@ def check(
     page: Path | None,
     strict: bool,
 ) -> None:
-    """Check recordings without a reference: stuck sensors, gaps, jumps, losses.
+    """Find faults of recordings without a reference.
 
     Exit code 0: no fault; 1: at least one recording has a fault; 2: at least one could not be read.
 

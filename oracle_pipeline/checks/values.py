@@ -191,6 +191,8 @@ def not_finite(topic: Topic) -> Iterator[Fault]:
         return  # infinity is "no return" there, REP 117
     for signal in signals_of(topic):
         bad = ~np.isfinite(signal.values)
+        if not len(bad):
+            continue
         bad[: int(np.argmin(bad))] = False  # before the first number there was none yet
         found = np.flatnonzero(bad)
         if len(found) and bad.mean() < 0.5 and len(bad) >= FEWEST:

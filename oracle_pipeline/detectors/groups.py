@@ -15,7 +15,7 @@ from sklearn.covariance import ledoit_wolf_shrinkage
 from oracle_pipeline.clustering.scaling import CLIP, ROUNDING_FLOOR, FlooredRobustScaler
 from oracle_pipeline.detectors.base import OwnDetector
 
-MOST_COMPONENTS = 30  # directions of a group whose variances are kept
+MOST_COMPONENTS = 12  # directions of a group whose variances are kept
 LEAST_SHARE = 0.5  # of the standard deviation: smallest scale
 OF_CONSTANT = 5.0  # scales that a change of a constant counts for
 _LEAST_NOISE = 0.05  # variance in any other direction; rows are z-scores

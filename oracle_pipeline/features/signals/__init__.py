@@ -1,4 +1,4 @@
 """Signals: every number of every message, as series in time, and their statistics.
 
-Robots that nobody here knows have no features of their own. Their signals have.
+A robot that the built-in features do not know still has signals.
 """

@@ -1,0 +1,240 @@
+"""Measures the oracle and simple baselines on recordings of real robots.
+
+It prints one table::
+
+    python -m tools.robotbench FOLDER              # with crazyflie/, uci_arm/, arm/, kairos/
+    python -m tools.robotbench FOLDER crazyflie    # one set
+
+Normal recordings are split by session where there are at least three, else one by one. Each is
+scored by what was learned from the others, and so is each abnormal one. The AUC has an interval of
+95 % from a bootstrap over sessions. The false positive rate is that of the exit code's rule at 10 %
+on normal recordings that took no part in learning, over several halves.
+"""
+
+import argparse
+import itertools
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oracle_pipeline import features
+from oracle_pipeline.datasets import feature_dataset, signal_columns, window_dataset
+from oracle_pipeline.features import FeatureTables, build_manager
+from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
+from oracle_pipeline.scoring.learning import learned_scorer
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+from tools.robotbench.baselines import BASELINES, PLAIN, scaled
+from tools.robotbench.sets import SETS, Case
+
+FAR = 0.1  # nominal false positive rate
+_FOLDS = 10
+_HALVES = 10  # random halves for the false positive rate
+_BOOTSTRAPS = 2000
+_FEWEST_SESSIONS = 3  # so that splitting by session leaves enough to learn from
+_NEEDED = 9  # normal recordings for a verdict at 10 %
+
+Floats = NDArray[np.float64]
+
+
+class Measured(NamedTuple):
+    """The recordings of a set, with their features."""
+
+    cases: Sequence[Case]
+    table: pd.DataFrame
+    windows: pd.DataFrame
+
+    def part(self, rows: NDArray[np.intp]) -> MeasuredRuns:
+        """Return some recordings."""
+        return MeasuredRuns.ordered(self.table.iloc[np.sort(rows)], self.windows)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.robotbench", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("folder", type=Path, help="folder of the sets")
+    parser.add_argument("sets", nargs="*", metavar="SET", help=f"of {', '.join(SETS)}")
+    arguments = parser.parse_args()
+    if unknown := [name for name in arguments.sets if name not in SETS]:
+        parser.error(f"there is no set {unknown[0]}; known are {', '.join(SETS)}")
+    heads = [
+        "set",
+        "robot",
+        "normal / abnormal",
+        "signals",
+        "oracle",
+        f"false positives, {FAR:.0%}",
+    ]
+    print(f"| {' | '.join([*heads, *BASELINES, 'dose'])} |")
+    print("| --- " * (len(heads) + len(BASELINES) + 1) + "|")
+    for name in arguments.sets or SETS:
+        folder, robot, load = SETS[name]
+        if not (arguments.folder / folder).is_dir():
+            print(f"{name}: {arguments.folder / folder} does not exist; left out", file=sys.stderr)
+            continue
+        with tempfile.TemporaryDirectory(prefix="robotbench-") as work:
+            measured = _measured(list(load(arguments.folder / folder, Path(work))))
+        print(f"| {' | '.join([name, robot, *_row(measured)])} |", flush=True)
+
+
+def _measured(cases: Sequence[Case]) -> Measured:
+    """Extract the features of all recordings."""
+    with ProcessPoolExecutor() as pool:
+        found = list(pool.map(_extracted, [case.path for case in cases], chunksize=4))
+    runs, windows = [], []
+    sessions = list(dict.fromkeys(case.session for case in cases))
+    for number, (case, tables) in enumerate(zip(cases, found, strict=True)):
+        label, session = "malicious" if case.abnormal else "normal", sessions.index(case.session)
+        run, of_windows = (
+            table.assign(
+                run_id=f"{number:05d}", mode="foreign", label=label, block=number, session=session
+            )
+            for table in tables
+        )
+        runs.append(run)
+        windows.append(of_windows)
+    return Measured(cases, feature_dataset(runs), window_dataset(windows))
+
+
+def _extracted(path: Path) -> FeatureTables:
+    with open_run(path) as run:
+        return features.extract(run, build_manager(None))
+
+
+def _row(measured: Measured) -> Iterator[str]:
+    """Yield the cells of a set."""
+    abnormal = np.array([case.abnormal for case in measured.cases])
+    sessions = measured.table["session"].to_numpy()
+    normal, bad = np.flatnonzero(~abnormal), np.flatnonzero(abnormal)
+    signals = signal_columns(measured.table)
+    yield f"{len(normal)} / {len(bad)}"
+    yield str(len(signals))
+    folds = _folds(sessions[normal])
+    of_normal, of_bad = _scored(lambda fit, new: _oracle(measured, fit, new), normal, bad, folds)
+    yield _auc_text(of_normal, of_bad, sessions[normal], sessions[bad])
+    yield _false_positives(measured, normal)
+    plain = [column for column in signals if column.rpartition(".")[2] in PLAIN]
+    values = measured.table[plain].to_numpy(np.float64)
+    for baseline in BASELINES.values():
+        score = _on_values(values, baseline)
+        yield _auc_text(*_scored(score, normal, bad, folds), sessions[normal], sessions[bad])
+    dose = np.array([case.dose for case in measured.cases])[bad]
+    known = np.isfinite(dose)
+    yield _response(of_bad[known], dose[known]) if known.sum() > 2 else ""
+
+
+def _folds(sessions: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the fold of each normal recording."""
+    units = np.unique(sessions, return_inverse=True)[1]
+    if units.max() + 1 < _FEWEST_SESSIONS:
+        units = np.arange(len(sessions))
+    order = np.random.default_rng(0).permutation(units.max() + 1)
+    return np.asarray(order[units] % min(_FOLDS, units.max() + 1), dtype=np.int64)
+
+
+def _scored(
+    score: Callable[[NDArray[np.intp], NDArray[np.intp]], Floats],
+    normal: NDArray[np.intp],
+    bad: NDArray[np.intp],
+    folds: NDArray[np.int64],
+) -> tuple[Floats, Floats]:
+    """Return scores of normal recordings by the other folds, and the medians of abnormal ones."""
+    held, others = np.empty(len(normal)), []
+    for fold in range(int(folds.max()) + 1):
+        out = folds == fold
+        scores = score(normal[~out], np.concatenate([normal[out], bad]))
+        held[out] = scores[: out.sum()]
+        others.append(scores[out.sum() :])
+    return held, np.median(others, axis=0)
+
+
+def _oracle(measured: Measured, fit: NDArray[np.intp], new: NDArray[np.intp]) -> Floats:
+    """Return the scores of `oracle score`, in the order of `new`."""
+    scorer = learned_scorer(measured.part(fit))
+    order = np.argsort(new)
+    scores = np.empty(len(new))
+    scores[order] = scorer.own_score(scorer.scores(_columns(scorer, measured.part(new))))
+    return scores
+
+
+def _columns(scorer: CrossConformalScorer, runs: MeasuredRuns) -> MeasuredRuns:
+    """Return recordings with the columns of a scorer; absent ones are missing values."""
+    design = scorer.design
+    return MeasuredRuns.ordered(
+        runs.features.reindex(columns=["run_id", "block", *design.run_columns]),
+        runs.windows.reindex(columns=["run_id", "window_start_s", *design.window_columns]),
+    )
+
+
+def _on_values(
+    values: Floats, baseline: Callable[[Floats, Floats], Floats]
+) -> Callable[[NDArray[np.intp], NDArray[np.intp]], Floats]:
+    def score(fit: NDArray[np.intp], new: NDArray[np.intp]) -> Floats:
+        known = np.isfinite(values[fit]).any(axis=0)
+        return baseline(*scaled(values[np.ix_(fit, known)], values[np.ix_(new, known)]))
+
+    return score
+
+
+def _auc(normal: Floats, bad: Floats) -> float:
+    return float(np.mean(np.sign(bad[:, None] - normal) / 2.0 + 0.5))
+
+
+def _auc_text(
+    normal: Floats, bad: Floats, of_normal: NDArray[np.int64], of_bad: NDArray[np.int64]
+) -> str:
+    """Return the AUC with its interval; sessions are drawn with replacement."""
+    rng = np.random.default_rng(0)
+    draws = []
+    for _ in range(_BOOTSTRAPS):
+        some = _redrawn(normal, of_normal, rng), _redrawn(bad, of_bad, rng)
+        draws.append(_auc(*some))
+    low, high = np.quantile(draws, (0.025, 0.975))
+    return f"{_auc(normal, bad):.2f} [{low:.2f}, {high:.2f}]"
+
+
+def _redrawn(scores: Floats, sessions: NDArray[np.int64], rng: np.random.Generator) -> Floats:
+    """Return the scores of sessions drawn with replacement; of recordings if there are few."""
+    units = np.unique(sessions)
+    if len(units) < _FEWEST_SESSIONS:
+        return scores[rng.integers(len(scores), size=len(scores))]
+    drawn = rng.choice(units, size=len(units))
+    return np.concatenate([scores[sessions == unit] for unit in drawn])
+
+
+def _false_positives(measured: Measured, normal: NDArray[np.intp]) -> str:
+    """Return the share of held-out normal recordings with a p-value of at most `FAR`."""
+    if len(normal) // 2 < _NEEDED:
+        return "too few"
+    rng, called = np.random.default_rng(0), []
+    for _ in range(_HALVES):
+        drawn = rng.permutation(normal)
+        fit, held = drawn[: max(_NEEDED, len(drawn) // 2)], drawn[max(_NEEDED, len(drawn) // 2) :]
+        scorer = learned_scorer(measured.part(fit))
+        p = scorer.p_values(scorer.scores(_columns(scorer, measured.part(held))))
+        called.append(float(np.mean(p <= FAR)))
+    return f"{np.mean(called):.2f}, halves {min(called):.2f} to {max(called):.2f}"
+
+
+def _response(scores: Floats, dose: Floats) -> str:
+    """Return the rank correlation of score and dose, and median scores by quarter of the dose."""
+    rank = pd.Series(scores).corr(pd.Series(dose), method="spearman")
+    edges = np.unique(np.quantile(dose, (0.0, 0.25, 0.5, 0.75, 1.0)))
+    medians = [
+        np.median(scores[(dose >= low) & (dose <= high)]) for low, high in itertools.pairwise(edges)
+    ]
+    return f"rank correlation {rank:.2f}; scores {', '.join(f'{each:.1f}' for each in medians)}"
+
+
+if __name__ == "__main__":
+    main()
