@@ -247,6 +247,11 @@ def _json(table: "Table", tables: "Measured") -> str:
     help="Whether to compare topics, types, QoS, rates, constant fields, copies of messages and "
     "the graph with the contract of the reference.",
 )  # fmt: skip
+@click.option(
+    "--suite", is_flag=True,
+    help="Hold --far for all recordings together: the share of normal ones among those called "
+    "anomalous (Benjamini-Hochberg). Takes more normal runs.",
+)  # fmt: skip
 @_roles
 @plugins_option
 @_strict
@@ -262,6 +267,7 @@ def score(
     time_limit: float,
     memory_limit: float,
     contract: bool,
+    suite: bool,
     roles: Path | None,
     plugins: Path | None,
     strict: bool,
@@ -271,8 +277,8 @@ def score(
     Exit code 0: all are normal; 1: at least one is anomalous or breaks the contract of the
     reference; 2: at least one could not be judged.
 
-    RUN_OR_BAG is as for `oracle features`; several recordings are judged as one suite, and each
-    robot of a recording gets a verdict, such as bag#robot1. The p-value is the share of normal runs
+    RUN_OR_BAG is as for `oracle features`; each recording is judged by itself, and each robot of a
+    recording gets a verdict, such as bag#robot1. The p-value is the share of normal runs
     that score at least as high, where each normal run is scored by a model that was not fitted on
     it. A recording is anomalous if its p-value is at most --far. A rate of 5% needs 19 normal runs
     of different days or starts, 1% needs 99. With fewer there is no verdict, only the score and the
@@ -323,10 +329,12 @@ def score(
         strict=strict,
         choices=choices,
         hold_to_contract=contract,
+        together=suite,
     )
-    show = output.as_json if file_format == "json" else output.as_text
-    click.echo(show(verdicts, far, normal.notes))
-    if file_format == "text":
+    if file_format == "json":
+        click.echo(output.as_json(verdicts, far, normal.notes))
+    else:
+        click.echo(output.as_text(verdicts, far, normal.notes, together=suite))
         click.echo(f"{output.tally(verdicts)} in {time.perf_counter() - started:.1f} s")
     write_junit(verdicts)
     if page is not None:

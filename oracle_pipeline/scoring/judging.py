@@ -61,12 +61,12 @@ def score(
     strict: bool = False,
     choices: RoleChoices | None = None,
     hold_to_contract: bool = True,
+    together: bool = False,
 ) -> list[Verdict]:
-    """Judge recordings by comparison with normal runs.
+    """Judge recordings by comparison with normal runs, each by itself.
 
-    Several recordings are a suite: `far` is then the share of normal runs among those called
-    anomalous (Benjamini-Hochberg). A recording that cannot be judged gets a verdict with the
-    reason, and the others are still judged. Each robot of a recording gets its own verdict.
+    A recording that cannot be judged gets a verdict with the reason, and the others are still
+    judged. Each robot of a recording gets its own verdict.
 
     Parameters
     ----------
@@ -85,6 +85,9 @@ def score(
         Content of a roles file; by default, that of the reference.
     hold_to_contract : bool
         Whether to compare each recording with the contract of the reference too.
+    together : bool
+        Whether `far` is the share of normal recordings among those called anomalous, over all
+        recordings (Benjamini-Hochberg), instead of the rate for each.
     """
     notes: tuple[str, ...] = ()
     if choices is None:
@@ -100,7 +103,13 @@ def score(
     ]
     if not hold_to_contract:
         verdicts = [replace(each, contract=()) for each in verdicts]
-    return decide_suite([replace(each, notes=(*notes, *each.notes)) for each in verdicts], far)
+    verdicts = [replace(each, notes=(*notes, *each.notes)) for each in verdicts]
+    return decide_suite(verdicts, far) if together else [decided(each, far) for each in verdicts]
+
+
+def decided(verdict: Verdict, far: float) -> Verdict:
+    """Return a verdict on a recording that is judged by itself, with its outcome."""
+    return verdict if verdict.p_value is None else _in_suite(verdict, verdict.p_value, 1, far)
 
 
 def decide_suite(verdicts: Sequence[Verdict], far: float) -> list[Verdict]:
@@ -154,7 +163,7 @@ def _unsupported(blocks: int, size: int, far: float) -> str:
         + f": no {'single ' if size > 1 else ''}recording could be called anomalous. "
         f"{needed} are needed, {needed - blocks} more; or allow a higher rate with --far."
     )
-    return alone + (" Or judge one recording at a time." if size > 1 else "")
+    return alone + (" Or judge each by itself, without --suite." if size > 1 else "")
 
 
 def _judge_robots(
@@ -200,7 +209,7 @@ def judge(
     OracleError
         The recording shares no feature with the card, has one in another unit, or is too short.
     """
-    return decide_suite([_scored(recording, tables, card, seen)], far)[0]
+    return decided(_scored(recording, tables, card, seen), far)
 
 
 def _scored(

@@ -84,14 +84,18 @@ def as_json(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> st
     return json.dumps(document, indent=2, allow_nan=False)
 
 
-def as_text(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> str:
-    """Return a paragraph for each verdict, the remarks that all share, and the first notes."""
+def as_text(
+    verdicts: Sequence[Verdict], far: float, notes: Sequence[str], *, together: bool = False
+) -> str:
+    """Return a paragraph for each verdict, the remarks that all share, and the first notes.
+
+    `together` is as for ``scoring.judging.score``.
+    """
     judged = [_remarks(verdict) for verdict in verdicts if verdict.outcome != "error"]
     shared = [remark for remark in judged[0] if all(remark in j for j in judged)] if judged else []
     lines = [line for verdict in verdicts for line in paragraph(verdict, shared)]
     if judged:
-        over = f", adjusted for a suite of {len(judged)} (Benjamini-Hochberg)"
-        lines += ["", f"Anomalous: p <= {far:g}{over if len(judged) > 1 else ''}."]
+        lines += ["", _rule(len(judged), far, together=together)]
         if any(verdict.aspects for verdict in verdicts):
             lines.append(
                 "The p-values of tampering (altered messages) and of misbehaviour (what the robot "
@@ -103,6 +107,16 @@ def as_text(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> st
     if (more := len(notes) - _MOST_NOTES) > 0:
         lines.append(f"and {_count(more, 'more note')} on the reference; --format json lists all.")
     return "\n".join(lines)
+
+
+def _rule(judged: int, far: float, *, together: bool) -> str:
+    """Say when a recording is anomalous, and how many of several would be by chance."""
+    rule = f"Anomalous: p <= {far:g}"
+    if judged == 1:
+        return f"{rule}."
+    if together:
+        return f"{rule}, adjusted for a suite of {judged} (Benjamini-Hochberg)."
+    return f"{rule}. Of {judged} normal recordings, {far * judged:.2g} would be by chance."
 
 
 def card_as_text(card: ReferenceCard) -> str:

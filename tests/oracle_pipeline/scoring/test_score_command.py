@@ -162,7 +162,7 @@ def test_a_suite_in_which_no_single_alarm_is_possible_has_no_verdict(bags, norma
     write_table(normal[normal["block"] < 20], tmp_path / "features.parquet")
     reference = ("--reference", tmp_path / "features.parquet")
     oracle_score(bags["spinning"], *reference, expect=1)
-    done = oracle_score(bags["usual"], bags["spinning"], *reference, expect=2)
+    done = oracle_score(bags["usual"], bags["spinning"], *reference, "--suite", expect=2)
     assert done.stdout.count("NO VERDICT") == 2
     assert "for 2 recordings judged together" in done.stdout
     assert "39 are needed, 19 more" in done.stdout
@@ -247,10 +247,20 @@ def test_a_system_without_a_common_feature_is_not_judged(normal, extracted):
         judged(extracted["usual"], wider)
 
 
+def test_a_recording_is_judged_as_if_it_were_alone(bags, reference):
+    arguments = ("--reference", reference, "--format", "json")
+    among = oracle_score(bags["spinning"], *[bags["usual"]] * 9, *arguments, expect=1)
+    alone = oracle_score(bags["spinning"], *arguments, expect=1)
+    first = json.loads(among.stdout)["recordings"][0]
+    assert first == json.loads(alone.stdout)["recordings"][0]
+    text = oracle_score(*[bags["usual"]] * 9, "--reference", reference, expect=0).stdout
+    assert "Of 9 normal recordings, 0.45 would be by chance." in text
+
+
 def test_a_suite_is_judged_together_and_a_bad_bag_affects_no_other(bags, reference, tmp_path):
     report = tmp_path / "verdicts.xml"
     suite = (bags["usual"], bags["spinning"], tmp_path / "ab\x01sent")
-    done = oracle_score(*suite, "--reference", reference, "--junit", report, expect=2)
+    done = oracle_score(*suite, "--reference", reference, "--suite", "--junit", report, expect=2)
     assert "adjusted for a suite of 2" in done.stdout
     assert "COULD NOT JUDGE" in done.stdout
     root = ElementTree.parse(report).getroot()  # noqa: S314 -- our own file
@@ -261,7 +271,8 @@ def test_a_suite_is_judged_together_and_a_bad_bag_affects_no_other(bags, referen
     assert (usual.get("name"), len(usual)) == (str(bags["usual"]), 0)
     assert FIRST in odd.find("failure").text
     assert "There is no bag" in absent.find("error").get("message")
-    done = oracle_score(*suite[:2], "--reference", reference, "--format", "json", expect=1)
+    arguments = ("--reference", reference, "--suite", "--format", "json")
+    done = oracle_score(*suite[:2], *arguments, expect=1)
     p = [found["suite_p_value"] for found in json.loads(done.stdout)["recordings"]]
     assert p[1] == pytest.approx(2 / 41)
 
