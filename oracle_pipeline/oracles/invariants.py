@@ -126,6 +126,13 @@ class _LearnedInvariants:
                 yield Requirement(f"{name}.high", formula, _scale(self.high_scale[n]), says)
 
 
+def half_to_learn(normal: TracedRuns) -> NDArray[np.bool_]:
+    """Return a mask of the runs of every second session; of all if there are few runs."""
+    sessions = np.unique(normal.session)
+    half = np.isin(normal.session, sessions[::2])
+    return half if half.sum() >= _FEWEST <= (~half).sum() else np.ones_like(half)
+
+
 class Invariants:
     """Learns bounds from normal runs."""
 

@@ -4,8 +4,9 @@
 finds the kinds.
 """
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+import hashlib
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import LABELS
 from oracle_pipeline.datasets import is_malicious
-from oracle_pipeline.oracles.requirements import Requirement
+from oracle_pipeline.oracles.requirements import Requirements
 
 RELATION = "relation"  # column: relation of a run to the runs of its block, from its recipe
 SAME = "same"  # the relation of all runs that are judged
@@ -59,6 +60,12 @@ class TracedRuns:
             if id(trace) not in cache:  # the cache keeps the trace alive, so its id stays unique
                 cache[id(trace)] = trace, compute(trace)
         return np.stack([cache[id(trace)][1] for trace in self.traces])
+
+    def digests(self) -> list[str]:
+        """Return a hash of each trace, by which a recording is known under any name."""
+        return [
+            hashlib.sha256(trace.to_numpy().tobytes()).hexdigest()[:16] for trace in self.traces
+        ]
 
     @property
     def block(self) -> NDArray[np.int64]:
@@ -117,7 +124,7 @@ class Material:
     ----------
     runs : TracedRuns
         All runs that are compared.
-    requirements : sequence of Requirement
+    requirements : Requirements
         Formulas that runs should satisfy.
     answers : mapping of str to bool
         Answers of people, by run; True means bad.
@@ -127,9 +134,27 @@ class Material:
     """
 
     runs: TracedRuns
-    requirements: Sequence[Requirement]
+    requirements: Requirements
     answers: Mapping[str, bool] = field(default_factory=dict)
     follow_ups: TracedRuns | None = None
+
+    def not_learned_from(self) -> tuple["Material", str]:
+        """Return the material without runs that the formulas were learned from, and a note.
+
+        No such run breaks a formula, so all normal runs would seem to keep them. If there is no
+        other normal run, the formulas are left out instead.
+        """
+        known = np.isin(self.runs.digests(), list(self.requirements.learned_from))
+        if not known.any():
+            return self, ""
+        if not (self.runs.normal & ~known).any():
+            return replace(self, requirements=Requirements()), (
+                f"The requirements are left out: they were learned from all {known.sum()} normal "
+                "recordings. Give other normal recordings, too."
+            )
+        return replace(self, runs=self.runs.where(~known)), (
+            f"{known.sum()} recordings are left out: the requirements were learned from them."
+        )
 
 
 Maker = Callable[[Material], OracleKind | None]

@@ -8,6 +8,9 @@
         formula: always (nearest_min >= 0.22)
         scale: 0.05     # a difference that matters, in the unit of the formula
 
+A key ``learned_from`` lists the recordings that the formulas were learned from, by
+`TracedRuns.digests`: they cannot show how often a normal run breaks a formula.
+
 A formula is text for the parser of SENTIL [1]_, never code. Its names are signals
 (``traces.SIGNALS``), which are found by role, so a file works for every robot. The robustness of a
 formula is the margin by which it holds; it is negative if the formula is violated [2]_.
@@ -38,6 +41,7 @@ from oracle_pipeline.oracles.traces import RATE, SIGNALS, TIME, known_names, val
 NAV2 = Path(__file__).with_name("nav2.yaml")
 FARTHEST = 1e6  # limit of a robustness [scales]
 
+_REQUIREMENTS, _LEARNED_FROM = "requirements", "learned_from"
 _KEYS = ("name", "formula", "scale", "says")
 _LARGEST = 1024 * 1024  # bytes
 
@@ -56,7 +60,13 @@ class Requirement:
     says: str = ""
 
 
-def load(path: Path) -> list[Requirement]:
+class Requirements(list[Requirement]):
+    """The content of a file: requirements, and the recordings that they were learned from."""
+
+    learned_from: frozenset[str] = frozenset()
+
+
+def load(path: Path) -> Requirements:
     """Read a file of requirements.
 
     Raises
@@ -71,14 +81,17 @@ def load(path: Path) -> list[Requirement]:
             raise ValueError(f"it is larger than {_LARGEST} bytes")
         text = content.decode()
         document = bounded_yaml.load(text)
-        if not isinstance(document, dict) or list(document) != ["requirements"]:
-            raise ValueError("it must be a mapping with the single key 'requirements'")
-        if not isinstance(document["requirements"], list):
-            raise ValueError("'requirements' must be a list")
+        if not isinstance(document, dict) or list(document)[:1] != [_REQUIREMENTS]:
+            raise ValueError(f"it must be a mapping with {_REQUIREMENTS!r} as its first key")
+        if unknown := set(document) - {_REQUIREMENTS, _LEARNED_FROM}:
+            raise ValueError(f"unknown key {unknown.pop()!r}")
+        if not all(isinstance(value, list) for value in document.values()):
+            raise ValueError(f"{' and '.join(map(repr, document))} must be a list")
     except (ValueError, OSError) as error:
         raise RequirementError(f"{path} is not a file of requirements: {error}.") from error
-    read: list[Requirement] = []
-    for line, given in zip(_lines(text), document["requirements"], strict=True):
+    read = Requirements()
+    read.learned_from = frozenset(map(str, document.get(_LEARNED_FROM, [])))
+    for line, given in zip(_lines(text), document[_REQUIREMENTS], strict=True):
         try:
             requirement = _requirement(given)
             if any(requirement.name == other.name for other in read):
@@ -89,14 +102,16 @@ def load(path: Path) -> list[Requirement]:
     return read
 
 
-def dump(requirements: Iterable[Requirement], head: str) -> str:
+def dump(requirements: Iterable[Requirement], head: str, learned_from: Iterable[str] = ()) -> str:
     """Return requirements as YAML, one per line, below a comment."""
-    lines = [*(f"# {line}" for line in head.splitlines()), "requirements:"]
+    lines = [*(f"# {line}" for line in head.splitlines()), f"{_REQUIREMENTS}:"]
     for each in requirements:
         given = {"name": each.name, "formula": each.formula, "scale": each.scale}
         given |= {"says": each.says} if each.says else {}
         text = yaml.safe_dump(given, default_flow_style=True, sort_keys=False, width=10_000)
         lines.append(f"  - {text.strip()}")
+    known = [f"  - '{digest}'" for digest in learned_from]
+    lines += [f"{_LEARNED_FROM}:", *known] if known else []
     return "\n".join(lines) + "\n"
 
 

@@ -156,7 +156,9 @@ def invariants(good: tuple[Path, ...], output: Path, traces: Path | None) -> Non
     """Learn invariants from normal recordings, one line each.
 
     The file has formulas of signal temporal logic. Review it, delete or change lines, and pass it
-    to `oracle kinds --requirements`.
+    to `oracle kinds --requirements`. Every second recording is kept for `oracle kinds`, which
+    measures with recordings that the formulas were not learned from; fewer than 6 are all learned
+    from.
 
     \b
     Examples:
@@ -165,14 +167,19 @@ def invariants(good: tuple[Path, ...], output: Path, traces: Path | None) -> Non
     """  # noqa: D301 -- click reads the control character
     from oracle_pipeline.datasets import replacing
     from oracle_pipeline.oracles.collecting import traced_runs
-    from oracle_pipeline.oracles.invariants import HEAD, Invariants
+    from oracle_pipeline.oracles.invariants import HEAD, Invariants, half_to_learn
     from oracle_pipeline.oracles.requirements import dump
 
     runs = traced_runs([], good, traces)
-    learned = Invariants().learn(runs.where(runs.normal)).requirements()
+    normal = runs.where(runs.normal)
+    seen = normal.where(half_to_learn(normal))
+    learned = Invariants().learn(seen).requirements()
     with replacing(output) as sink:
-        sink.write(dump(learned, HEAD).encode())
-    click.echo(f"{len(learned)} invariants: {output}")
+        sink.write(dump(learned, HEAD, seen.digests()).encode())
+    click.echo(
+        f"{len(learned)} invariants of {len(seen.traces)} of {len(normal.traces)} recordings: "
+        f"{output}"
+    )
 
 
 def _material(
@@ -191,4 +198,8 @@ def _material(
     if not is_same.any():
         raise KindError("All runs have a --relation; add the runs of the original tasks.")
     follow_ups = None if is_same.all() else found.where(~is_same)
-    return Material(found.where(is_same), load(requirements or NAV2), answers, follow_ups)
+    material = Material(found.where(is_same), load(requirements or NAV2), answers, follow_ups)
+    material, note = material.not_learned_from()
+    if note:
+        click.echo(note, err=True)
+    return material

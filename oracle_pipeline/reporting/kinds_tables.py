@@ -12,7 +12,7 @@ from oracle_pipeline.reporting.stored_report import Report
 from oracle_pipeline.reporting.tables import PageColumn, PageTable, table
 
 KINDS, BY_MODE = "kinds", "kinds_by_mode"
-_FEW = 20  # most recordings without a label to show p-values of
+_FEW = 20  # most recordings without a label to show p-values of; JSON has all
 
 
 def with_kinds(report: Report, comparison: KindsComparison) -> Report:
@@ -69,10 +69,15 @@ def as_text(comparison: KindsComparison, far: float) -> str:
 
 def _p_of_unknown(p: pd.DataFrame) -> list[str]:
     """Return the p-values of recordings without a label as lines."""
-    unknown = p[p["label"] == "unknown"].drop(columns=["mode", "label"]).head(_FEW)
-    rows = [(row[0], *map("{:.3f}".format, row[1:])) for row in unknown.itertuples(index=False)]
+    unknown = p[p["label"] == "unknown"].drop(columns=["mode", "label"])
+    shown = unknown.head(_FEW).itertuples(index=False)
+    rows = [(row[0], *map("{:.3f}".format, row[1:])) for row in shown]
     head = ("p-value", *unknown.columns[1:])
-    return list(aligned_lines([head, *rows], indent="    ")) if rows else []
+    more = len(unknown) - len(rows)
+    return [
+        *(aligned_lines([head, *rows], indent="    ") if rows else ()),
+        *([f"    {more} more recordings; --format json lists all."] if more else ()),
+    ]
 
 
 def as_json(comparison: KindsComparison, far: float) -> str:

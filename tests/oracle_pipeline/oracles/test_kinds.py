@@ -17,7 +17,7 @@ from oracle_pipeline.oracles.invariants import Invariants
 from oracle_pipeline.oracles.kind import RELATION, KindError, Material
 from oracle_pipeline.oracles.metamorphic import Metamorphic
 from oracle_pipeline.oracles.registry import build_kinds
-from oracle_pipeline.oracles.requirements import NAV2, load
+from oracle_pipeline.oracles.requirements import NAV2, Requirements, load
 from oracle_pipeline.oracles.specified import Specified
 from oracle_pipeline.oracles.traces import STEP_S, _keep_scans, quiet_topics
 from tests.oracle_pipeline.oracles.made_runs import campaign, trace
@@ -161,7 +161,11 @@ def test_a_kind_of_oracle_comes_from_the_plugin_folder(tmp_path):
         "utf-8",
     )
     runs = campaign(speed=-0.1)
-    (mine,) = (kind for kind in build_kinds(Material(runs, []), tmp_path) if kind.name == "slow")
+    (mine,) = (
+        kind
+        for kind in build_kinds(Material(runs, Requirements()), tmp_path)
+        if kind.name == "slow"
+    )
     assert calibrated(mine, runs).p[runs.malicious].max() <= 0.05
 
 

@@ -4,7 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oracle_pipeline.oracles.invariants import HEAD, Invariants
+from oracle_pipeline.oracles.invariants import HEAD, Invariants, half_to_learn
+from oracle_pipeline.oracles.kind import Material
+from oracle_pipeline.oracles.registry import build_kinds
 from oracle_pipeline.oracles.requirements import (
     NAV2,
     Requirement,
@@ -84,7 +86,9 @@ def test_the_shipped_requirements_detect(altered, name):
     ("lines", "said"),
     [
         (["requirements: 3"], "'requirements' must be a list"),
-        (["rules: []"], "single key 'requirements'"),
+        (["requirements: []", "learned_from: 3"], "'learned_from' must be a list"),
+        (["requirements: []", "learnt: []"], "unknown key 'learnt'"),
+        (["rules: []"], "'requirements' as its first key"),
         (["requirements: [&a {name: x}, *a]"], "alias"),
         (["requirements:", "  - {name: a, formula: always (sped > 0)}"],
          "line 2: there is no signal 'sped'; did you mean speed"),
@@ -120,6 +124,24 @@ def test_learned_invariants_are_equivalent_as_a_file_of_requirements(tmp_path):
     # Bounds in the file have four decimals, and are weaker than those learned by at most that.
     least = min(each.scale for each in read)
     assert by_formula == pytest.approx(learned.score(runs), abs=2e-4 / least)
+
+
+def test_recordings_that_invariants_were_learned_from_do_not_calibrate_them(tmp_path):
+    runs = campaign(12)
+    normal = runs.where(runs.normal)
+    half = half_to_learn(normal)
+    assert half.sum() == (~half).sum()
+    seen, others = normal.where(half), normal.where(~half)
+    path = tmp_path / "invariants.yaml"
+    path.write_text(dump(Invariants().learn(seen).requirements(), HEAD, seen.digests()), "utf-8")
+    material, note = Material(runs, load(path)).not_learned_from()
+    assert note == "18 recordings are left out: the requirements were learned from them."
+    assert list(material.runs.table["run_id"][material.runs.normal]) == list(others.table["run_id"])
+    (of_file,) = (kind for kind in build_kinds(material) if kind.name == "specified")
+    # No run breaks a bound that was learned from it; some of the other runs do.
+    assert of_file.score(seen).max() <= 1e-3 < of_file.score(others).max()
+    material, note = Material(seen, load(path)).not_learned_from()
+    assert (list(material.requirements), "all 18 normal recordings" in note) == ([], True)
 
 
 def test_an_invariant_is_a_line_that_can_be_deleted(tmp_path):

@@ -7,6 +7,7 @@ from oracle_pipeline.oracles.human import answered_by_labels
 from oracle_pipeline.oracles.implicit import Implicit
 from oracle_pipeline.oracles.invariants import Invariants
 from oracle_pipeline.oracles.kind import Material
+from oracle_pipeline.oracles.requirements import Requirements
 from oracle_pipeline.reporting.kinds_tables import (
     BY_MODE,
     KINDS,
@@ -36,12 +37,19 @@ def test_page_and_terminal_show_a_row_for_each_kind_and_a_column_in_the_table_of
 
 def test_few_runs_give_no_rate_but_the_number_that_is_needed():
     runs = campaign(4, errors=2.0)
-    assert answered_by_labels(Material(runs.where(runs.block < 0), []), 5).answers == {}
+    assert answered_by_labels(Material(runs.where(runs.block < 0), Requirements()), 5).answers == {}
     comparison = compare_kinds([Implicit(), Invariants()], runs)
     assert "4 blocks of normal runs cannot support" in comparison.oracles["note"].iloc[0]
     text = as_text(comparison, 0.05)
     assert "implicit, invariants, union: 4 blocks of normal runs cannot support" in text
     assert text.count("record 20, or allow a higher rate") == 1
+
+
+def test_the_list_of_recordings_says_how_many_it_does_not_show():
+    runs = campaign(24)
+    tonight = runs.table.assign(label=runs.table["label"].replace("malicious", "unknown"))
+    comparison = compare_kinds([Implicit()], type(runs)(tonight, runs.traces))
+    assert "    4 more recordings; --format json lists all." in as_text(comparison, 0.05)
 
 
 def test_without_a_comparison_the_report_has_no_section():
