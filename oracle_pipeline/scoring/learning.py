@@ -30,6 +30,7 @@ from oracle_pipeline.scoring.run_scorer import (
     Design,
     common_length,
 )
+from oracle_pipeline.scoring.selection import counted, without_odd
 from oracle_pipeline.scoring.verdict import ScoringError
 
 SEED = 0  # of the folds
@@ -44,17 +45,25 @@ WINDOWS_UNKNOWN = (
 def learn(reference: Reference) -> ReferenceCard:
     """Learn what is normal from the normal runs of a reference.
 
+    Copies count once, and recordings that are unlike all others are set aside (`selection`).
+
     Raises
     ------
     OracleError
         There are too few normal runs, or they have no feature.
     """
-    normal = ~is_malicious(reference.table)
+    reference = counted(reference)
+    card = _learned(reference)
+    held_out = pd.Series(card.scorer.held_out_, index=card.runs["run_id"])
+    scores = held_out.loc[reference.table["run_id"]].to_numpy(dtype=np.float64)
+    remaining = without_odd(reference, np.array(scores))
+    return card if remaining is None else _learned(remaining)
+
+
+def _learned(reference: Reference) -> ReferenceCard:
+    """Learn from all runs of a reference."""
     notes = []
-    if left_out := int(np.sum(~normal)):
-        notes.append(f"{left_out} attacked runs of the reference are left out.")
-    table = reference.table[normal]
-    windows = reference.windows
+    table, windows = reference.table, reference.windows
     if windows is None:
         notes.append(WINDOWS_UNKNOWN)
         windows = pd.DataFrame({"run_id": table["run_id"], "window_start_s": 0.0})
@@ -64,7 +73,7 @@ def learn(reference: Reference) -> ReferenceCard:
     aspects = {name: learned_scorer(runs, name) for name in ASPECTS if name in sets}
     contract, breaching = None, None
     if reference.observations:
-        observations = list(itertools.compress(reference.observations, normal))
+        observations = reference.observations
         fold_of = dict(zip(runs.features["run_id"], scorer.fold_.tolist(), strict=True))
         contract = Contract.learned(observations)
         breaching = _breaching(observations, [fold_of[run_id] for run_id in table["run_id"]])

@@ -31,9 +31,9 @@ FAR = 0.3  # four normal recordings, or three others, support no lower rate
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A card of four good bags, and three recordings to judge."""
     root = tmp_path_factory.mktemp("recordings")
-    for name in "abcd":
-        write_bag(root / "good" / name, drive())
-    write_bag(root / "usual", drive())
+    for nth, name in enumerate("abcd"):
+        write_bag(root / "good" / name, drive(nth))
+    write_bag(root / "usual", drive(2))
     write_bag(root / "spinning", spinning())
     (root / "broken.mcap").write_bytes(MAGIC + b"\0" * 64 + MAGIC)
     learn(read_reference([root / "good"], build_manager())).save(root / "robot.card")

@@ -98,8 +98,11 @@ def ground_truth(seconds: float) -> Any:
 Recorded = tuple[float, str, Any]
 
 
-def drive() -> list[Recorded]:
-    """A robot that circles for 27 s, reaches one goal after 20 s and has another under way."""
+def drive(nth: int = 0) -> list[Recorded]:
+    """A robot that circles for 27 s, reaches one goal after 20 s and has another under way.
+
+    Each starts in another direction, so that none is a copy of another one.
+    """
     root = "NavigateRecovery"
     recorded: list[Recorded] = [
         (2.0, "/behavior_tree_log", tree_log(2, (root, "IDLE", "RUNNING"))),
@@ -112,8 +115,9 @@ def drive() -> list[Recorded]:
     ]
     for step in range(int(DURATION_S * 5) + 1):
         t = step / 5
-        yaw = 0.4 * t
-        recorded.append((t, "/odom", odometry(t, 0.5 * np.sin(yaw), -0.5 * np.cos(yaw), yaw, 0.4)))
+        yaw = 0.4 * t + nth / 10
+        x, y = 0.5 * np.sin(yaw), -0.5 * np.cos(yaw)
+        recorded.append((t, "/odom", odometry(t, x, y, yaw, 0.4)))
         ranges = 1.0 + 0.5 * np.sin(np.arange(12) + step)
         recorded.append((t, "/scan", scan(t, [*ranges, np.inf, np.nan])))
         recorded.append((t, "/scan_fakeobject", scan(t, [*ranges, 2.0, 9.0])))

@@ -26,8 +26,8 @@ def oracle_learn(*arguments: object, expect: int = 0):
 def place(tmp_path_factory):
     """Four good bags and an anomalous one, which also has a topic that no good bag has."""
     root = tmp_path_factory.mktemp("recordings")
-    for name in "abcd":
-        write_bag(root / "good" / name, drive())
+    for nth, name in enumerate("abcd"):
+        write_bag(root / "good" / name, drive(nth))
     odd = [(t, f"/robot{topic}" if topic == "/odom" else topic, m) for t, topic, m in drive()]
     write_bag(root / "renamed", odd)
     write_bag(root / "spinning", spinning())

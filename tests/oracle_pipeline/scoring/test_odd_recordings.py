@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 
 
 def cut(path, share):
-    write_bag(path, drive())
+    write_bag(path, drive(5))
     (file,) = path.glob("*.mcap")
     file.write_bytes(file.read_bytes()[: int(file.stat().st_size * share)])
 
@@ -68,8 +68,8 @@ NAMED_ONLY = {
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
     root = tmp_path_factory.mktemp("recordings")
-    for name in ("a", "b", "c", "d"):
-        write_bag(root / "good" / name, drive())
+    for nth, name in enumerate("abcd"):
+        write_bag(root / "good" / name, drive(nth))
     for name, (make, _) in (REFUSED | NAMED_ONLY).items():
         make(root / name)
     cut(root / "half", 0.6)

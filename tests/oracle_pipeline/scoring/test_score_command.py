@@ -362,8 +362,8 @@ def test_junit_is_written_without_a_reference(bags, tmp_path):
 
 
 def test_a_folder_of_bags_is_a_reference_whose_recordings_count_as_normal(bags, tmp_path):
-    for name in "abcd":
-        write_bag(tmp_path / "good" / name, drive())
+    for nth, name in enumerate("abcd"):
+        write_bag(tmp_path / "good" / name, drive(nth))
     (tmp_path / "good" / "broken").mkdir()
     (tmp_path / "good" / "broken" / "metadata.yaml").write_text("{}")
     (tmp_path / "good" / "notes.txt").write_text("recorded on a Tuesday")
@@ -375,18 +375,18 @@ def test_a_folder_of_bags_is_a_reference_whose_recordings_count_as_normal(bags, 
 
 
 def test_each_robot_of_a_recording_is_judged_by_the_card_of_another(bags, tmp_path):
-    for name in "abcdef":
-        write_bag(tmp_path / "good" / name, drive())
+    for nth, name in enumerate("abcdef"):
+        write_bag(tmp_path / "good" / name, drive(nth))
     # One behaves as the normal ones do, the other spins.
     both = [
         (t, f"/{name}{topic}", message)
-        for name, recorded in (("usual", drive()), ("odd", spinning()))
+        for name, recorded in (("usual", drive(2)), ("odd", spinning()))
         for t, topic, message in recorded
         if not topic.startswith("/_")
     ]
     write_bag(tmp_path / "both", sorted(both, key=lambda each: each[0]))
     junit = tmp_path / "verdicts.xml"
-    options = ("--reference", tmp_path / "good", "--far", 0.4, "--junit", junit)
+    options = ("--reference", tmp_path / "good", "--far", 0.2, "--junit", junit)
     done = oracle_score(tmp_path / "both", *options, "--format", "json", expect=1)
     found = {each["recording"]: each for each in json.loads(done.stdout)["recordings"]}
     one, other = (found[f"{tmp_path / 'both'}#{name}"] for name in ("usual", "odd"))

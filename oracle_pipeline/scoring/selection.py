@@ -1,0 +1,85 @@
+"""Which recordings of a reference count: normal ones, copies once, and none that is unlike all.
+
+A recording that went wrong, with recoveries or an attack by mistake, raises the score that others
+must exceed. Up to a tenth of the recordings are set aside if their scores are far above all others.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oracle_pipeline.datasets import feature_columns, is_malicious, signal_columns
+from oracle_pipeline.scoring.reference import Reference
+
+MOST_ODD = 0.1  # share of the recordings that may be set aside
+GAP = 2.0  # an odd score is so many times the highest of the others
+LEAST_SCORE = 10.0  # and at least this, in spreads of the normal scores
+_NAMED = 3  # recordings named in a note
+
+
+def counted(reference: Reference) -> Reference:
+    """Return a reference without attacked runs, and with copies of a recording once."""
+    kept, notes = ~is_malicious(reference.table), []
+    if left_out := int(np.sum(~kept)):
+        notes.append(f"{left_out} attacked runs of the reference are left out.")
+    measured = [*feature_columns(reference.table), *signal_columns(reference.table)]
+    copies = reference.table.duplicated([*measured, "label"]).to_numpy() & kept
+    if copies.any():
+        names = _named(reference, copies)
+        notes.append(f"{names}: the same as another recording, which counts once.")
+    return selected(reference, kept & ~copies, notes)
+
+
+def selected(reference: Reference, rows: NDArray[np.bool_], notes: Sequence[str]) -> Reference:
+    """Return some rows of a reference, with further notes before its own."""
+    return replace(
+        reference,
+        table=reference.table[rows],
+        observations=tuple(itertools.compress(reference.observations, rows)),
+        notes=(*notes, *reference.notes),
+    )
+
+
+def without_odd(reference: Reference, scores: NDArray[np.float64]) -> Reference | None:
+    """Return a reference without the recordings that are unlike all others; None if none is.
+
+    Parameters
+    ----------
+    reference : Reference
+    scores : ndarray of shape (n_runs,)
+        Held out, of each row of its table, in spreads of the normal scores.
+    """
+    rows = odd(scores)
+    if not rows.any():
+        return None
+    share = f"{rows.sum()} of {len(rows)}"
+    note = (
+        f"{_named(reference, rows)}: set aside, because it is far unlike the other normal "
+        f"recordings. Such recordings are called anomalous too: {share} normal ones here."
+    )
+    return selected(reference, ~rows, [note])
+
+
+def odd(scores: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which scores are far above all others: at most a tenth of them.
+
+    Examples
+    --------
+    >>> odd(np.array([0.1] * 18 + [4.0, 60.0])).nonzero()[0].tolist()
+    [19]
+    """
+    most = int(MOST_ODD * len(scores))
+    highest = np.sort(scores)[::-1]
+    for count in range(most, 0, -1):
+        if highest[count - 1] >= max(LEAST_SCORE, GAP * highest[count]):
+            return np.asarray(scores >= highest[count - 1], dtype=np.bool_)
+    return np.zeros(len(scores), dtype=np.bool_)
+
+
+def _named(reference: Reference, rows: NDArray[np.bool_]) -> str:
+    names = [str(name) for name in reference.table.loc[rows, "run_id"]]
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more
