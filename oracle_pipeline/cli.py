@@ -252,6 +252,8 @@ def _json(table: "Table", tables: "Measured") -> str:
     help="Hold --far for all recordings together: the share of normal ones among those called "
     "anomalous (Benjamini-Hochberg). Takes more normal runs.",
 )  # fmt: skip
+@click.option("-q", "--quiet", is_flag=True, help="Print one line for each recording not normal.")
+@click.option("-v", "--verbose", is_flag=True, help="Print a line for each unusual family too.")
 @_roles
 @plugins_option
 @_strict
@@ -268,6 +270,8 @@ def score(
     memory_limit: float,
     contract: bool,
     suite: bool,
+    quiet: bool,
+    verbose: bool,
     roles: Path | None,
     plugins: Path | None,
     strict: bool,
@@ -334,8 +338,11 @@ def score(
     if file_format == "json":
         click.echo(output.as_json(verdicts, far, normal.notes))
     else:
-        click.echo(output.as_text(verdicts, far, normal.notes, together=suite))
-        click.echo(f"{output.tally(verdicts)} in {time.perf_counter() - started:.1f} s")
+        if quiet:
+            text = output.in_brief(verdicts)
+        else:
+            text = output.as_text(verdicts, far, normal.notes, together=suite, verbose=verbose)
+        click.echo(f"{text}{output.tally(verdicts)} in {time.perf_counter() - started:.1f} s")
     write_junit(verdicts)
     if page is not None:
         from oracle_pipeline.replay.picture import picture

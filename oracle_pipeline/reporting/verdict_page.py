@@ -20,7 +20,9 @@ from oracle_pipeline.scoring.output import (
     beside,
     cells,
     family_as_text,
+    tally,
 )
+from oracle_pipeline.scoring.sentences import headline
 from oracle_pipeline.scoring.verdict import Judgement, Verdict
 
 _HEADLINES: dict[Judgement, str] = {
@@ -69,6 +71,8 @@ def write(
         A picklable function that takes the path of a recording and returns its picture as PNG.
     """
     page = template("verdicts.html.j2").render(
+        headline=headline,
+        tally=tally(verdicts),
         judged=[_shown(verdict, far, limits, draw) for verdict in verdicts],
         words=_HEADLINES,
         meanings={name: feature.description for name, feature in manager.features().items()},

@@ -1,7 +1,7 @@
 """The features of a recording that are farthest from normal runs, with place and time."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -11,8 +11,10 @@ from oracle_pipeline.detectors import Deviation, explain
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.comparable import comparable
 from oracle_pipeline.scoring.verdict import Evidence, ScoringError
+from oracle_pipeline.windows import HOP_S, WINDOW_S
 
 SHOWN = 5  # features listed with a verdict
+_STILL_FAR = 0.5  # share of the largest distance down to which a change lasts
 
 
 def evidence(tables: FeatureTables, reference: pd.DataFrame) -> tuple[Evidence, ...]:
@@ -32,10 +34,21 @@ def evidence(tables: FeatureTables, reference: pd.DataFrame) -> tuple[Evidence, 
 
 
 def farthest_features(
-    deviations: Sequence[Deviation], tables: FeatureTables
+    deviations: Sequence[Deviation], tables: FeatureTables, usual: Mapping[str, float] | None = None
 ) -> tuple[Evidence, ...]:
-    """Return the first few of a recording's ranked deviations, with place and time."""
-    where = json.loads(tables.run[WHERE].iloc[0])
+    """Return the first few of a recording's ranked deviations, with place and time.
+
+    Parameters
+    ----------
+    deviations : sequence of Deviation
+    tables : FeatureTables
+    usual : mapping of str to float, optional
+        Usual value of a feature in a window; by default the median of these windows.
+    """
+    where, usual = json.loads(tables.run[WHERE].iloc[0]), usual or {}
+    spans = {
+        each: _span(each, tables.windows, usual.get(each.feature)) for each in deviations[:SHOWN]
+    }
     return tuple(
         Evidence(
             feature=deviation.feature,
@@ -46,18 +59,36 @@ def farthest_features(
             usual_low=deviation.usual_low,
             usual_high=deviation.usual_high,
             where=where.get(deviation.feature) or topic_of_signal(deviation.feature) or None,
-            window_start_s=_farthest_window(deviation, tables.windows),
+            window_start_s=span[0],
+            window_end_s=span[1],
         )
-        for deviation in deviations[:SHOWN]
+        for deviation, span in spans.items()
     )
 
 
-def _farthest_window(deviation: Deviation, windows: pd.DataFrame) -> float | None:
-    """Return the start of the window that deviates most in the direction of the whole run [s].
+def _span(
+    deviation: Deviation, windows: pd.DataFrame, usual: float | None
+) -> tuple[float | None, float | None]:
+    """Return start and end of the change around the window that deviates most [s].
 
-    None if the feature has no values by window, or all are equal.
+    Windows overlap by half. What the first unusual window shares with the usual one before it does
+    not show the change, so the change begins in its second half.
+
+    The start is None if no window deviates in the direction of the whole recording, or all are
+    equal; the end is None if the change lasts to the end of the recording.
     """
     if deviation.feature not in windows.columns or windows[deviation.feature].nunique() < 2:
-        return None
-    farthest = np.nanargmax(np.sign(deviation.z) * windows[deviation.feature].to_numpy())
-    return float(windows[WINDOW_START].to_numpy()[farthest])
+        return None, None
+    values = windows[deviation.feature].to_numpy(dtype=np.float64)
+    distance = np.sign(deviation.z) * (values - (np.nanmedian(values) if usual is None else usual))
+    farthest = int(np.nanargmax(distance))
+    if distance[farthest] <= 0.0:
+        return None, None
+    back = ~(distance >= _STILL_FAR * distance[farthest])  # or without a value
+    before, after = np.flatnonzero(back[:farthest]), np.flatnonzero(back[farthest:])
+    first = before[-1] + 1 if len(before) else 0
+    last = farthest + after[0] - 1 if len(after) else len(back) - 1
+    starts = windows[WINDOW_START].to_numpy(dtype=np.float64)
+    begins_later = len(before) and (first < last or not len(after))
+    end = float(starts[last]) + WINDOW_S if len(after) else None
+    return float(starts[first]) + (HOP_S if begins_later else 0.0), end

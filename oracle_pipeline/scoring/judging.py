@@ -249,7 +249,7 @@ def _scored(
         features=len(columns),
         normal_runs=len(others),
         normal_blocks=votes,
-        evidence=farthest_features(deviations, tables),
+        evidence=farthest_features(deviations, tables, card.scorer.scorers_[0].usual_in_windows),
         families=tuple(by_family(deviations, [*columns, *signals])),
         notes=tuple(notes),
     )

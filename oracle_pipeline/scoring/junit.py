@@ -6,13 +6,17 @@ from typing import Literal, NamedTuple
 from xml.etree import ElementTree
 
 from oracle_pipeline.scoring.output import paragraph
+from oracle_pipeline.scoring.sentences import headline
 from oracle_pipeline.scoring.verdict import Verdict
 
 _NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 class TestCase(NamedTuple):
-    """One test case; it has passed if it has neither a failure nor an error."""
+    """One test case; it has passed if it has neither a failure nor an error.
+
+    The first line of the text is the message that a CI system shows in its lists.
+    """
 
     name: str
     kind: Literal["", "failure", "error"] = ""
@@ -29,7 +33,8 @@ def _test_case(verdict: Verdict) -> TestCase:
         return TestCase(verdict.recording)
     failed = verdict.outcome in {"anomalous", "breach"}
     kind: Literal["failure", "error"] = "failure" if failed else "error"
-    return TestCase(verdict.recording, kind, "\n".join(paragraph(verdict)))
+    text = [headline(verdict), *paragraph(verdict, verbose=True)]
+    return TestCase(verdict.recording, kind, "\n".join(text))
 
 
 def junit_document(command: str, cases: Sequence[TestCase]) -> bytes:

@@ -12,7 +12,7 @@ from oracle_pipeline.scoring.alarms import RATE_PER_H
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.conformal import runs_needed
 from oracle_pipeline.scoring.outliers import outliers
-from oracle_pipeline.scoring.sentences import headline
+from oracle_pipeline.scoring.sentences import headline, rounded
 from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
 
 # From the best to the worst; the worst of a suite counts.
@@ -45,7 +45,6 @@ MOST_BREACHES = 8  # of the contract that are shown at once
 _MOST_OUTLIERS = 5  # recordings of a card that are listed
 _MOST_NOTES = 8  # on the reference that are shown below verdicts
 
-_ROUNDING = 1e-12  # below all that features resolve
 HEADINGS = ("feature", "value", "usual (5-95 %)", "z", "window", "where")
 
 
@@ -84,16 +83,30 @@ def as_json(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> st
     return json.dumps(document, indent=2, allow_nan=False)
 
 
+def in_brief(verdicts: Sequence[Verdict]) -> str:
+    """Return a line for each recording that is not normal."""
+    return "".join(
+        f"{_SHOWN[each.outcome]}  {each.recording}: {headline(each)}\n"
+        for each in verdicts
+        if each.outcome != "normal"
+    )
+
+
 def as_text(
-    verdicts: Sequence[Verdict], far: float, notes: Sequence[str], *, together: bool = False
+    verdicts: Sequence[Verdict],
+    far: float,
+    notes: Sequence[str],
+    *,
+    together: bool = False,
+    verbose: bool = False,
 ) -> str:
     """Return a paragraph for each verdict, the remarks that all share, and the first notes.
 
-    `together` is as for ``scoring.judging.score``.
+    `together` is as for ``scoring.judging.score``, `verbose` as for `paragraph`.
     """
     judged = [_remarks(verdict) for verdict in verdicts if verdict.outcome != "error"]
     shared = [remark for remark in judged[0] if all(remark in j for j in judged)] if judged else []
-    lines = [line for verdict in verdicts for line in paragraph(verdict, shared)]
+    lines = [line for each in verdicts for line in paragraph(each, shared, verbose=verbose)]
     if judged:
         lines += ["", _rule(len(judged), far, together=together)]
         if any(verdict.aspects for verdict in verdicts):
@@ -106,7 +119,7 @@ def as_text(
     lines += [*shared, *notes[:_MOST_NOTES]]
     if (more := len(notes) - _MOST_NOTES) > 0:
         lines.append(f"and {_count(more, 'more note')} on the reference; --format json lists all.")
-    return "\n".join(lines)
+    return "\n".join([*lines, ""])
 
 
 def _rule(judged: int, far: float, *, together: bool) -> str:
@@ -219,8 +232,10 @@ def _remarks(verdict: Verdict) -> list[str]:
     return [basis, *verdict.notes]
 
 
-def paragraph(verdict: Verdict, shared: Sequence[str] = ()) -> Iterator[str]:
-    """Yield the lines on one verdict, without the shared remarks."""
+def paragraph(
+    verdict: Verdict, shared: Sequence[str] = (), *, verbose: bool = False
+) -> Iterator[str]:
+    """Yield the lines on one verdict, without the shared remarks; verbose: on families too."""
     if verdict.outcome == "error":
         yield f"{_SHOWN[verdict.outcome]}  {verdict.recording}: {verdict.error}"
         return
@@ -229,12 +244,14 @@ def paragraph(verdict: Verdict, shared: Sequence[str] = ()) -> Iterator[str]:
         f"{_SHOWN[verdict.outcome].ljust(_WIDTH)}  {verdict.recording}  "
         f"p = {verdict.suite_p_value:.3g}{suite}, score {verdict.score:.3g}"
     )
-    if verdict.evidence and verdict.outcome in ("anomalous", "unsupported"):
-        yield f"    {headline(verdict)}"
+    told = headline(verdict)
+    if verdict.outcome in ("anomalous", "unsupported") and told not in verdict.contract:
+        yield f"    {told}"
     yield from (f"    {breach}" for breach in verdict.contract)
     yield from (f"    {line}" for line in beside(verdict))
     if verdict.outcome != "normal":
         yield from aligned_lines([HEADINGS, *map(cells, verdict.evidence)], indent="    ")
+    if verdict.outcome != "normal" and verbose:
         yield from (f"    {family_as_text(family)}" for family in verdict.families)
     yield from (f"    {remark}" for remark in _remarks(verdict) if remark not in shared)
 
@@ -273,11 +290,14 @@ def _alarms(verdict: Verdict) -> Iterator[str]:
 def cells(evidence: Evidence) -> tuple[str, ...]:
     """Return one piece of evidence as the cells of a table below `HEADINGS`."""
     unit = "" if evidence.unit == "1" else f" {evidence.unit}"
-    window = "" if evidence.window_start_s is None else f"from {evidence.window_start_s:g} s"
+    since, until = evidence.window_start_s, evidence.window_end_s
+    window = (
+        "" if since is None else f"from {since:g} s" if until is None else f"{since:g}-{until:g} s"
+    )
     return (
         evidence.feature,
-        f"{_number(evidence.value)}{unit}",
-        f"{_number(evidence.usual_low)} to {_number(evidence.usual_high)}",
+        f"{rounded(evidence.value)}{unit}",
+        f"{rounded(evidence.usual_low)} to {rounded(evidence.usual_high)}",
         _z(evidence.z, capped=evidence.capped),
         window,
         evidence.where or "",
@@ -290,17 +310,6 @@ def family_as_text(family: FamilyDeviation) -> str:
         f"{family.family}: {family.unusual} of {family.compared} features outside their usual "
         f"range, {family.feature} farthest (z {_z(family.z, capped=family.capped)})"
     )
-
-
-def _number(value: float) -> str:
-    """Return a value with four digits; a rounding error around zero is 0.
-
-    Examples
-    --------
-    >>> [_number(value) for value in (0.0123456, 8.3e-18, -1e-16)]
-    ['0.01235', '0', '0']
-    """
-    return f"{value:.4g}" if abs(value) > _ROUNDING else "0"
 
 
 def _z(z: float, *, capped: bool) -> str:

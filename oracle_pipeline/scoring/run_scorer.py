@@ -139,6 +139,16 @@ class RunScorer:
         """The levels that have columns, in order."""
         return tuple(level for level in self.design.levels if level in self.models_)
 
+    @property
+    def usual_in_windows(self) -> dict[str, float]:
+        """The median of each column in normal windows, in its unit."""
+        scalers = [model[0] for level, model in self.models_.items() if level in OF_WINDOWS]
+        return {
+            column: float(centre)
+            for scaler in scalers
+            for column, centre in zip(scaler.kept_, scaler.center_, strict=True)
+        }
+
     def score_windows(self, windows: pd.DataFrame) -> NDArray[np.float64]:
         """Return the score of each row of a window table, shape (n_windows,)."""
         seen = _select(windows, self.design.window_features)

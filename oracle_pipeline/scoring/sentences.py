@@ -9,6 +9,7 @@ from fnmatch import fnmatchcase
 from oracle_pipeline.datasets import SIGNALS, topic_of_signal
 from oracle_pipeline.scoring.verdict import Evidence, Verdict
 
+_ROUNDING = 1e-12  # below all that features resolve
 _CLEAR = 0.5  # evidence with a phrase is preferred down to this share of the largest distance
 _AGAINST = " against "  # between two places
 
@@ -105,12 +106,30 @@ def sentence(evidence: Evidence) -> str:
     'The robot turned 0.29 rad in all; normal runs turn 1.1 to 1.6 rad.'
     """
     unit = "" if evidence.unit in ("1", "") else f" {evidence.unit}"
-    value = f"{evidence.value:.3g}{unit}"
-    usual = f"{evidence.usual_low:.3g} to {evidence.usual_high:.3g}{unit}"
+    value = f"{rounded(evidence.value, 3)}{unit}"
+    usual = f"{rounded(evidence.usual_low, 3)} to {rounded(evidence.usual_high, 3)}{unit}"
     text = _text(evidence, value, usual)
-    if evidence.window_start_s is not None:
-        text += f", most of all from {evidence.window_start_s:g} s on"
-    return f"{text}."
+    return f"{text}{_when(evidence)}."
+
+
+def rounded(value: float, digits: int = 4) -> str:
+    """Return a value with some digits; a rounding error around zero is 0.
+
+    Examples
+    --------
+    >>> [rounded(value) for value in (0.0123456, 8.3e-18, -1e-16)]
+    ['0.01235', '0', '0']
+    """
+    return f"{value:.{digits}g}" if abs(value) > _ROUNDING else "0"
+
+
+def _when(evidence: Evidence) -> str:
+    start_s, end_s = evidence.window_start_s, evidence.window_end_s
+    if start_s is None:
+        return ""
+    if end_s is not None:
+        return f", most of all from {start_s:g} s to {end_s:g} s"
+    return f", most of all from {start_s:g} s on" if start_s else ", all the time"
 
 
 def _text(evidence: Evidence, value: str, usual: str) -> str:

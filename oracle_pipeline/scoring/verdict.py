@@ -29,7 +29,8 @@ class Evidence:
     usual_low: float  # 5th and 95th percentile of the normal runs
     usual_high: float
     where: str | None = None  # a topic, a pair of topics or an edge
-    window_start_s: float | None = None  # of the window that deviates most in the same direction
+    window_start_s: float | None = None  # of the time around the window that deviates most
+    window_end_s: float | None = None  # of that time; None: the end of the recording, or unknown
 
 
 @dataclass(frozen=True, slots=True)

@@ -102,18 +102,22 @@ def test_a_recording_like_the_reference_passes(bags, reference):
 
 
 def test_an_anomalous_recording_is_reported_with_evidence_and_time(bags, reference, extracted):
-    done = oracle_score(bags["spinning"], "--reference", reference, expect=1)
+    done = oracle_score(bags["spinning"], "--reference", reference, "-v", expect=1)
     verdict, summary, aspects, *lines = done.stdout.splitlines()
     assert verdict.startswith("ANOMALOUS")
     assert "robot" in summary
     assert "in normal runs" in summary
     assert lines[-1].startswith("1 anomalous in ")
+    quiet = oracle_score(bags["spinning"], "--reference", reference, "-q", expect=1)
+    brief, tally = quiet.stdout.splitlines()
+    assert brief == f"ANOMALOUS  {bags['spinning']}: {summary.strip()}"
+    assert tally.startswith("1 anomalous in ")
     assert aspects.startswith("    Tampering p = ")
     assert "misbehaviour p = " in aspects
     first = lines[next(n for n, line in enumerate(lines) if "usual (5-95 %)" in line) + 1]
     assert FIRST in done.stdout
     assert f"{extracted['spinning'].run[FIRST].iloc[0]:.4g} rad" in done.stdout
-    assert "from 15 s" in done.stdout
+    assert "from 17.5 s" in done.stdout
     assert first.startswith(("    contextual.", "    kinematics."))
     assert "features outside their usual range" in done.stdout
 
@@ -138,7 +142,7 @@ def test_json_is_one_object_with_the_basis_of_the_verdict(bags, reference, norma
     assert [turning["usual_low"], turning["usual_high"]] == pytest.approx(
         np.percentile(normal[FIRST], [5, 95])
     )
-    assert turning["window_start_s"] == 20.0
+    assert turning["window_start_s"] == 17.5  # it spins from 17 s on
 
 
 def test_too_few_runs_give_a_ranking_and_the_number_needed_but_no_verdict(bags, normal, tmp_path):
@@ -270,6 +274,7 @@ def test_a_suite_is_judged_together_and_a_bad_bag_affects_no_other(bags, referen
     usual, odd, absent = root
     assert (usual.get("name"), len(usual)) == (str(bags["usual"]), 0)
     assert FIRST in odd.find("failure").text
+    assert "normal runs" in odd.find("failure").get("message")
     assert "There is no bag" in absent.find("error").get("message")
     arguments = ("--reference", reference, "--suite", "--format", "json")
     done = oracle_score(*suite[:2], *arguments, expect=1)

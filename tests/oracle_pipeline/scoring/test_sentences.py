@@ -1,6 +1,7 @@
 """Every built-in feature and every outcome has a sentence that a person understands."""
 
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -31,6 +32,26 @@ def test_every_phrase_is_used(phrase):
     from oracle_pipeline.scoring.sentences import _phrase
 
     assert any(_phrase(feature) == phrase for feature in FEATURES)
+
+
+def test_sentence_says_until_when_and_whether_it_lasts_all_the_time():
+    told = evidence("contextual.speed")
+    assert sentence(replace(told, window_end_s=20.0)).endswith("from 12.5 s to 20 s.")
+    assert sentence(replace(told, window_start_s=0.0)).endswith(" all the time.")
+
+
+@pytest.mark.parametrize(
+    ("signal", "words"),
+    [
+        ("signals./odom/twist.linear.x.std", "The spread of twist.linear.x on /odom is 2.5"),
+        ("signals./imu/orientation.w.held", "The time without a change of orientation.w on /imu"),
+        ("signals./a/b/range.missing", "The share without a number of range on /a/b is 2.5"),
+    ],
+)
+def test_signals_of_any_robot_have_a_sentence_with_topic_and_size(signal, words):
+    told = sentence(evidence(signal, None))
+    assert told.startswith(words)
+    assert "normal runs have 0.5 to 1" in told
 
 
 def test_feature_without_a_phrase_is_called_a_statistic():
