@@ -6,10 +6,11 @@ graphs. A foreign bag has neither manifest nor graphs. Any other log is written 
 
 import logging
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 
+from oracle_pipeline.bags.disturbances import Disturbances
 from oracle_pipeline.bags.errors import BagError, RunDirectoryError
 from oracle_pipeline.bags.integrity import require_undamaged
 from oracle_pipeline.bags.manifest import Manifest
@@ -19,6 +20,7 @@ from oracle_pipeline.bags.run_directory import (
     GRAPHS_FOLDER,
     MANIFEST_FILE,
     RECORDING_FILE,
+    recording_summary,
 )
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.graphs.intervals import Interval, read_intervals
@@ -37,6 +39,7 @@ class OpenedRun:
     manifest: Manifest | None  # None for a live recording or a foreign bag
     intervals: tuple[Interval, ...]  # empty for a foreign bag
     scratch: "tempfile.TemporaryDirectory[str] | None" = None  # of the bag of another log
+    disturbances: Disturbances = field(default_factory=Disturbances)  # of its recorder
 
     @property
     def duration_s(self) -> float:
@@ -73,8 +76,7 @@ def open_run(path: Path, *, strict: bool = False) -> OpenedRun:
     if (path / MANIFEST_FILE).is_file():
         return _open_run_directory(path)
     if (path / RECORDING_FILE).is_file():
-        intervals = read_intervals(path / GRAPHS_FOLDER, gaps=True)
-        return OpenedRun(path, BagReader(path / BAG_FOLDER, strict=strict), None, intervals)
+        return _open_watched(path, strict=strict)
     if any((path / part).exists() for part in (BAG_FOLDER, GRAPHS_FOLDER)):
         raise RunDirectoryError(
             f"{path} looks like a run directory but has no {MANIFEST_FILE}, so the run is "
@@ -88,6 +90,23 @@ def open_run(path: Path, *, strict: bool = False) -> OpenedRun:
         bag.close()
         return _open_log(path)
     return OpenedRun(path, bag, None, ())
+
+
+def _open_watched(path: Path, *, strict: bool) -> OpenedRun:
+    disturbances = Disturbances.from_dict(recording_summary(path) or {})
+    loss = disturbances.loss()
+    if loss and strict:
+        raise BagError(f"{path} is incomplete. {loss} Without --strict, it is used.")
+    bag = BagReader(path / BAG_FOLDER, strict=strict)
+    bag.losses += [loss] if loss else []
+    if disturbances.spans:
+        seconds = sum(end_s - begin_s for begin_s, end_s in disturbances.spans)
+        bag.notes.append(
+            f"In {seconds:g} s of it, messages were lost or the machine that recorded them was "
+            "late, so features of rate and timing are missing there and for the whole recording."
+        )
+    intervals = read_intervals(path / GRAPHS_FOLDER, gaps=True)
+    return OpenedRun(path, bag, None, intervals, disturbances=disturbances)
 
 
 def _open_log(path: Path) -> OpenedRun:

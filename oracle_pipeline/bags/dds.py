@@ -6,13 +6,17 @@ extra ``live``.
 """
 
 import atexit
+import contextlib
 import ctypes
 import functools
 import os
 import weakref
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
 from rosbags.interfaces import (
     Nodetype,
     Qos,
@@ -27,9 +31,10 @@ from rosbags.typesys.store import Typestore
 from oracle_pipeline.bags import types
 from oracle_pipeline.bags.dds_names import dds_type, from_wire, to_wire
 from oracle_pipeline.bags.errors import DdsError
+from oracle_pipeline.bags.jit import calls_from_c
 
 try:
-    from cyclonedds import _clayer, builtin, core, domain, pub, sub, topic
+    from cyclonedds import _clayer, builtin, core, domain, internal, pub, sub, topic
     from cyclonedds.idl import make_idl_struct
     from cyclonedds.idl import types as idl
     from cyclonedds.qos import Policy
@@ -66,6 +71,7 @@ _EVERYTHING = core.SampleState.Any | core.ViewState.Any | core.InstanceState.Any
 _INFINITE_NS = 2**63 - 1
 _SECOND_NS = 1_000_000_000
 _MOST_AT_ONCE = 256  # samples of a reader that are taken in one call
+_BY_INFO = 3  # DDS_TOPIC_FILTER_SAMPLEINFO_ARG: the filter gets no decoded message
 
 
 def default_domain() -> int:
@@ -158,14 +164,57 @@ def _endpoint(
     msgtype: str,
     qos: Qos,
     store: Typestore | None,
+    arrived: NDArray[np.int64] | None = None,
 ) -> tuple[Any, Any]:
-    """Return a topic, and a reader or writer of it."""
+    """Return a topic, and a reader or writer of it; arrived messages are counted, if wanted."""
     definition = idl_type(msgtype, store or types.typestore())
     try:
         named = topic.Topic(participant, name, definition)
+        if arrived is not None:
+            _count(named, arrived)
         return named, make(participant, named, dds_qos(qos))
     except (core.DDSException, RuntimeError) as error:
         raise DdsError(f"Could not {doing} {name} ({msgtype}): {error}.") from error
+
+
+class _Filter(ctypes.Structure):
+    """A filter of the messages of a topic: ``struct dds_topic_filter``."""
+
+    _fields_ = (("mode", ctypes.c_int), ("function", ctypes.c_void_p), ("counter", ctypes.c_void_p))
+
+
+@calls_from_c("boolean(voidptr, CPointer(int64))")
+def _let_through(_info: Any, counter: Any) -> bool:
+    counter[0] += 1
+    return True
+
+
+def _count(named: Any, arrived: NDArray[np.int64]) -> None:
+    """Count the messages of a topic as they arrive, in the thread of DDS that receives them.
+
+    A reader that has its history full replaces the oldest message and says nothing: Cyclone DDS
+    does not call that lost. So a filter that takes every message counts them.
+    """
+    counting = _Filter(_BY_INFO, _let_through.address, arrived.ctypes.data)
+    code = internal.load_cyclonedds().dds_set_topic_filter_extended(
+        named._ref, ctypes.byref(counting)
+    )
+    if code:
+        raise DdsError(f"Could not count the messages of {named.name}: code {code}.")
+
+
+def dropped_packets() -> int:
+    """Return how many packets found the sockets of this process full so far; 0 if unknown."""
+    own, dropped = set(), 0
+    with contextlib.suppress(OSError):  # not Linux
+        for entry in Path("/proc/self/fd").iterdir():
+            with contextlib.suppress(OSError):  # it was closed meanwhile
+                own.add(str(entry.readlink()))
+        for table in ("udp", "udp6"):
+            for line in Path("/proc/self/net", table).read_text().splitlines()[1:]:
+                fields = line.split()
+                dropped += int(fields[-1]) if f"socket:[{fields[9]}]" in own else 0
+    return dropped
 
 
 class Raw(NamedTuple):
@@ -190,6 +239,11 @@ class RawReader:
         The requested QoS.
     store : Typestore, optional
         Defines the type; by default the built-in one.
+
+    Attributes
+    ----------
+    lost : int
+        Messages that arrived, and were replaced by newer ones before they were taken.
     """
 
     def __init__(
@@ -200,8 +254,10 @@ class RawReader:
         qos: Qos,
         store: Typestore | None = None,
     ) -> None:
+        self.lost = self._taken = 0
+        self._arrived = np.zeros(1, np.int64)
         self.topic, self.entity = _endpoint(
-            sub.DataReader, "subscribe to", participant, name, msgtype, qos, store
+            sub.DataReader, "subscribe to", participant, name, msgtype, qos, store, self._arrived
         )
 
     @property
@@ -211,14 +267,19 @@ class RawReader:
 
     def take(self) -> list[Raw]:
         """Return some of the received messages; an empty list if there is none."""
+        arrived = int(self._arrived[0])
         taken = _clayer.ddspy_take(self.entity._ref, _EVERYTHING, _MOST_AT_ONCE)
         if isinstance(taken, int):
             raise DdsError(f"Could not take messages of {self.topic.name}: code {taken}.")
-        return [
+        messages = [
             Raw(from_wire(data), info.source_timestamp, info.publication_handle)
             for data, info in taken
             if info.valid_data
         ]
+        self._taken += len(messages)
+        if len(taken) < _MOST_AT_ONCE:  # none is left of those that had arrived
+            self.lost = max(self.lost, arrived - self._taken)
+        return messages
 
 
 class RawWriter:

@@ -1,7 +1,7 @@
 """Compilation of hot loops: numba, cached on disk, IEEE arithmetic (no fastmath)."""
 
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 
@@ -20,3 +20,8 @@ def jit_unchecked(function: Callable[P, R]) -> Callable[P, R]:
     Without the check, a loop that only computes takes several numbers at a time.
     """
     return cast(Callable[P, R], numba.njit(cache=True, error_model="numpy")(function))
+
+
+def calls_from_c(signature: str) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a function that C code calls, without Python: its ``address`` is a pointer to it."""
+    return cast(Callable[[Callable[..., Any]], Any], numba.cfunc(signature, cache=True))

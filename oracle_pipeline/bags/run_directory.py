@@ -36,11 +36,17 @@ _RUN = re.compile(r"run(\d{3,})")
 
 def is_complete_recording(folder: Path) -> bool:
     """Return whether a folder holds a recording of ``oracle watch`` that has ended."""
+    summary = recording_summary(folder)
+    return summary is not None and bool(summary.get("complete", True))
+
+
+def recording_summary(folder: Path) -> dict[str, Any] | None:
+    """Return ``recording.json`` of a recording of ``oracle watch``; None if it cannot be read."""
     try:
         summary = json.loads((folder / RECORDING_FILE).read_bytes())
     except (OSError, ValueError):
-        return False
-    return isinstance(summary, dict) and bool(summary.get("complete", True))
+        return None
+    return summary if isinstance(summary, dict) else None
 
 
 @dataclass(frozen=True, slots=True, order=True)

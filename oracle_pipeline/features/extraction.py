@@ -47,6 +47,7 @@ from oracle_pipeline.windows import windows_ns
 if TYPE_CHECKING:
     import pandas as pd
 
+DISTURBED = Missing("messages were lost or late while it was recorded")
 _EXPLAINED = Located, Missing  # a tuple, since a union would be made anew for each number
 
 _log = logging.getLogger(__name__)
@@ -78,6 +79,12 @@ class _Row:
     def add_signals(self, table: SignalTable, span: Span, *, per_window: bool = False) -> None:
         """Store the statistics of signals, without reasons for those that are missing."""
         self.values |= table.values(span, per_window=per_window)
+
+    def without_timing(self, features: Mapping[str, Feature]) -> None:
+        """Take out the features that say more about the recorder than about the robot."""
+        for column in self.values:
+            if column in features and features[column].timing:
+                self.put(column, DISTURBED)
 
 
 def extract(
@@ -145,6 +152,9 @@ def measure(
     of_windows = [extraction.row(span, per_window=True) for span in spans]
     for span, row in zip(spans, of_windows, strict=True):
         row.add_signals(table, span, per_window=True)
+    for span, row in zip((whole, *spans), (of_run, *of_windows), strict=True):
+        if run.disturbances.cover(span.start_s, span.end_s):
+            row.without_timing(manager.features() | table.features)
     windowed = {c: f for c, f in manager.features().items() if f.per_window} | table.of_windows
     starts = {WINDOW_START: [span.start_s for span in spans]}
     window_fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}
@@ -202,6 +212,8 @@ def extract_window(
     row = extraction.row(span, per_window=True)
     of_signals = SignalTable(signals.signals(recording.times_ns))
     row.add_signals(of_signals, span, per_window=True)
+    if run.disturbances.cover(span.start_s, span.end_s):
+        row.without_timing(manager.features() | of_signals.features)
     windowed = {c: f for c, f in manager.features().items() if f.per_window}
     windowed |= of_signals.of_windows
     fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}

@@ -50,6 +50,10 @@ class ContractWatch:
         arrivals.last_s = at_s
         arrivals.counts[-1] += 1
 
+    def forget(self) -> None:
+        """Count messages anew, since some were lost or late."""
+        self._arrivals.clear()
+
     def check(
         self, now_s: float, discovery: Discovery, known: Collection[str]
     ) -> tuple[Breach, ...]:

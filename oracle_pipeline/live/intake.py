@@ -1,8 +1,9 @@
 """Receives the messages of a DDS domain as bytes, into a bounded queue.
 
 A separate thread receives them, so each gets its time of arrival at once. If the queue is full, the
-newest messages are dropped and counted. A robot never waits for the watch: readers keep only the
-last messages, so a full queue here does not fill the robot's queues.
+newest messages are dropped; if the thread is too slow, DDS drops the oldest. Both are counted. A
+robot never waits for the watch: readers keep only the last messages, so a full queue here does not
+fill the robot's queues.
 """
 
 import threading
@@ -19,6 +20,7 @@ from oracle_pipeline.bags.errors import DdsError
 from oracle_pipeline.bags.qos_profiles import compatible, is_latched
 
 QUEUE_BYTES = 64 * 2**20  # of waiting messages, at most
+PACKETS_S = 1.0  # between two counts of lost packets, which take a millisecond each
 _DEPTH = 500  # history depth of a DDS reader
 _WAIT_S = 0.2  # at most, until the thread checks for new readers or its end
 _NO_LIMIT = _QosTime(9223372036, 854775807)
@@ -60,7 +62,8 @@ class Intake:
         self._names: dict[dds.RawReader, str] = {}
         self._queue: list[Received] = []
         self._bytes = 0
-        self._dropped: Counter[str] = Counter()
+        self._lost: Counter[str] = Counter()
+        self._packets, self._counted_s = dds.dropped_packets(), time.monotonic()
         self._lock = threading.Lock()
         self._ended = False
         self._error: DdsError | None = None
@@ -114,11 +117,22 @@ class Intake:
             taken, self._queue, self._bytes = self._queue, [], 0
         return taken
 
-    def dropped(self) -> Counter[str]:
-        """Return how many messages of each topic were dropped since the last call."""
+    def lost(self) -> Counter[str]:
+        """Return how many messages of each topic were lost since the last call.
+
+        Either the queue was full, or the reader's history was.
+        """
         with self._lock:
-            dropped, self._dropped = self._dropped, Counter()
-        return dropped
+            lost, self._lost = self._lost, Counter()
+        return lost
+
+    def lost_packets(self) -> int:
+        """Return how many packets found the network buffers full; counted every `PACKETS_S`."""
+        if time.monotonic() - self._counted_s < PACKETS_S:
+            return 0
+        before = self._packets
+        self._packets, self._counted_s = dds.dropped_packets(), time.monotonic()
+        return max(0, self._packets - before)
 
     def close(self) -> None:
         """Stop receiving; messages that were not taken stay in the queue."""
@@ -133,7 +147,7 @@ class Intake:
                 came = [
                     Received(self._names[reader], raw.source_ns, *now, raw.writer, raw.data)
                     for reader in ready
-                    for raw in reader.take()
+                    for raw in self._taken(reader)
                 ]
                 came.sort(
                     key=lambda each: each.sent_ns
@@ -143,11 +157,19 @@ class Intake:
             with self._lock:
                 self._error = error
 
+    def _taken(self, reader: dds.RawReader) -> list[dds.Raw]:
+        """Take from a reader, and count what it lost meanwhile."""
+        before, taken = reader.lost, reader.take()
+        if lost := reader.lost - before:
+            with self._lock:
+                self._lost[self._names[reader]] += lost
+        return taken
+
     def _put(self, came: list[Received]) -> None:
         with self._lock:
             for received in came:
                 if self._bytes + len(received.data) > self._most_bytes:
-                    self._dropped[received.topic] += 1
+                    self._lost[received.topic] += 1
                 else:
                     self._queue.append(received)
                     self._bytes += len(received.data)

@@ -54,6 +54,7 @@ class _Window:
     start_ns: int
     end_ns: int
     ended_at: float  # by the monotonic clock of the machine [s]
+    timed: bool  # whether the times and numbers of its messages are the robot's
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,15 +124,25 @@ class JudgeProcess:
         """Send the graph of an interval."""
         self._send(interval)
 
-    def end_window(self, recording_ns: int, start_ns: int, end_ns: int) -> None:
-        """Request the verdict on a window that has ended."""
+    def end_window(
+        self, recording_ns: int, start_ns: int, end_ns: int, *, timed: bool = True
+    ) -> None:
+        """Request the verdict on a window that has ended.
+
+        Parameters
+        ----------
+        recording_ns, start_ns, end_ns : int
+            When the recording and the window began, and the window ended, as stamps.
+        timed : bool
+            Whether features of rate and timing count.
+        """
         if self._behind >= _MOST_BEHIND:
             self._blind_until_ns = end_ns + _CONTEXT_NS
         if start_ns < self._blind_until_ns:  # it lacks messages
             self.left_out += 1
         else:
             self._behind += 1
-            self._send(_Window(recording_ns, start_ns, end_ns, time.monotonic()))
+            self._send(_Window(recording_ns, start_ns, end_ns, time.monotonic(), timed))
 
     def verdicts(self, timeout_s: float = 0.0) -> Iterator[WindowVerdict]:
         """Yield the verdicts that have arrived, or arrive within some time.
@@ -221,9 +232,12 @@ def _work(pipe: Connection, card: Path, alarms_per_h: float | None, plugins: Pat
             else:
                 run = recent.until(request.recording_ns, request.end_ns)
                 start_s = (request.start_ns - request.recording_ns) / _SECOND_NS
+                if not request.timed:
+                    run.disturbances.begin(start_s)
                 row, carried = extract_window(run, manager, start_s, carried, reference.roles)
                 verdict = scorer.judge(row, (request.end_ns - request.recording_ns) / _SECOND_NS)
-                pipe.send(replace(verdict, latency_s=time.monotonic() - request.ended_at))
+                latency_s = time.monotonic() - request.ended_at
+                pipe.send(replace(verdict, latency_s=latency_s, timed=request.timed))
     except OracleError as error:
         pipe.send(error)
     except BrokenPipeError:

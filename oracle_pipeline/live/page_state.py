@@ -171,6 +171,7 @@ def _verdict(event: WindowVerdict) -> Part:
         "p_value": event.p_value,
         "usual": event.is_usual,
         "alarm": event.alarm,
+        "timed": event.timed,
     }
 
 

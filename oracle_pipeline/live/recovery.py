@@ -4,10 +4,9 @@ What it flushed is there already; recovery cuts the rest of the last file, and w
 the end of a recording: summaries of files, ``metadata.yaml``, the graph of the whole recording.
 """
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.graph_files import write_gexf, write_graphml
@@ -16,6 +15,7 @@ from oracle_pipeline.bags.run_directory import (
     GRAPHS_FOLDER,
     RECORDING_FILE,
     is_complete_recording,
+    recording_summary,
 )
 from oracle_pipeline.bags.scratch import lock
 from oracle_pipeline.bags.storage import Information, write_metadata
@@ -68,13 +68,6 @@ def _finish(path: Path) -> int:
     for topic in (topic for file in told for topic in file["topics_with_message_count"]):
         name = topic["topic_metadata"]["name"]
         counts[name] = counts.get(name, 0) + topic["message_count"]
-    write_summary(path, _facts(path) | {"complete": True, "messages": counts, "ended": KILLED})
+    facts = recording_summary(path) or {}
+    write_summary(path, facts | {"complete": True, "messages": counts, "ended": KILLED})
     return sum(counts.values())
-
-
-def _facts(path: Path) -> dict[str, Any]:
-    try:
-        facts = json.loads((path / RECORDING_FILE).read_bytes())
-    except ValueError:
-        return {}
-    return facts if isinstance(facts, dict) else {}

@@ -6,6 +6,7 @@ are, so a silent hour costs nothing.
 
 from collections.abc import Callable, Collection
 
+from oracle_pipeline.bags.disturbances import Disturbances
 from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S
 from oracle_pipeline.bags.reader import RawMessage
 from oracle_pipeline.graphs.intervals import Interval
@@ -13,6 +14,7 @@ from oracle_pipeline.live.contract_watch import ContractWatch
 from oracle_pipeline.live.discovery import Discovery
 from oracle_pipeline.live.events import ContractAlarm, Event, GraphTaken
 from oracle_pipeline.live.graph_snapshot import snapshot
+from oracle_pipeline.live.intake import PACKETS_S
 from oracle_pipeline.live.judge_process import JudgeProcess
 from oracle_pipeline.live.recorder import Recorder
 from oracle_pipeline.live.time_base import Stamped
@@ -38,6 +40,11 @@ class Segment:
     recorder : Recorder or None
     report : callable
         Takes events.
+
+    Attributes
+    ----------
+    disturbances : Disturbances
+        What it lacks, and when it was disturbed.
     """
 
     def __init__(
@@ -52,6 +59,7 @@ class Segment:
     ) -> None:
         self.start_ns = start_ns
         self.recorder = recorder
+        self.disturbances = Disturbances()
         self._now_ns = self._newest_ns = start_ns
         self._discovery, self._known, self._report = discovery, known, report
         self._judge, self._contract = judge, contract
@@ -89,6 +97,18 @@ class Segment:
         self._now_ns = max(self._now_ns, stamp_ns)
         self._check_contract()
 
+    def disturb(self, losses: Disturbances) -> None:
+        """Take note that messages were lost or late since the newest one, until `settle`."""
+        since_s = PACKETS_S if losses.packets else 0.0
+        self.disturbances.begin(max(0.0, self.duration_s - since_s))
+        self.disturbances.add(losses)
+        if self._contract is not None:
+            self._contract.forget()
+
+    def settle(self) -> None:
+        """End a disturbance: what comes next is on time."""
+        self.disturbances.end(self.duration_s)
+
     def forward(self) -> None:
         """Send the judge what came since the last call."""
         if self._judge is not None and self._fresh:
@@ -114,7 +134,8 @@ class Segment:
             self._end_interval()
         if self._judge is not None:
             start_ns = self.start_ns
-            self._judge.end_window(start_ns, start_ns + begin_ns, start_ns + end_ns)
+            timed = not self.disturbances.cover(begin_ns / _SECOND_NS, end_ns / _SECOND_NS)
+            self._judge.end_window(start_ns, start_ns + begin_ns, start_ns + end_ns, timed=timed)
         self._window += 1
 
     def _skip_to(self, passed_ns: int) -> None:

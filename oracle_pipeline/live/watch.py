@@ -11,6 +11,7 @@ from time import monotonic, monotonic_ns, sleep
 from typing import Any, Self
 
 from oracle_pipeline.bags import dds
+from oracle_pipeline.bags.disturbances import Disturbances
 from oracle_pipeline.bags.errors import DdsError, OracleError
 from oracle_pipeline.bags.limits import MOST_CHANNELS
 from oracle_pipeline.bags.protocol import is_hidden
@@ -30,6 +31,7 @@ _SETTLE_S = 2.0  # from the first topic until discovery is taken to be complete
 _DISCOVERY_S = 0.1  # rosbag2 looks for new topics this often
 _FLUSH_S = 1.0  # of what is lost at most if the watch is killed
 _PAUSE_S = 0.05  # between two reads of the queue; waking up for each message costs more
+_LATE_S = 0.05  # by which a pause is too long, at least, if the machine is too busy
 _LATCHED = 20  # newest messages of a latched topic, with which another segment begins
 
 
@@ -62,8 +64,8 @@ class Watch:
 
     Attributes
     ----------
-    dropped : int
-        Messages that were lost because the queue was full.
+    losses : Disturbances
+        What was lost, in all segments.
     received : int
         Messages that were processed.
     recordings : list of Path
@@ -89,7 +91,8 @@ class Watch:
         plugins: Path | None = None,
         queue_bytes: int = QUEUE_BYTES,
     ) -> None:
-        self.dropped = self.received = 0
+        self.losses = Disturbances()
+        self.received = 0
         self.recordings: list[Path] = []
         self._domain, self._folder, self._name = domain, folder, name
         self._split, self._keep_free_bytes = split, keep_free_bytes
@@ -129,15 +132,18 @@ class Watch:
         self._settle()
         discovered = flushed = 0.0
         while not self._stopped:
-            sleep(_PAUSE_S)
+            late_s = self._pause()
             before_ns = monotonic_ns()
             came = self._intake.take()
+            self._count_losses(late_s)
             if monotonic() - discovered >= _DISCOVERY_S:
                 discovered = monotonic()
                 self._discover()
             yield from self._process(came)
             if not came:
                 self._pass_time(before_ns)
+            if self._segment is not None:
+                self._segment.settle()
             if monotonic() - flushed >= _FLUSH_S:
                 flushed = monotonic()
                 self._flush()
@@ -145,6 +151,12 @@ class Watch:
             while self._pending:
                 yield self._pending.popleft()
         yield from self._finish()
+
+    def _pause(self) -> float:
+        """Let others work, and return how late this machine is with it [s]."""
+        began = monotonic()
+        sleep(_PAUSE_S)
+        return monotonic() - began - _PAUSE_S
 
     def _settle(self) -> None:
         """Wait until the nodes of the domain are known, and choose the time base."""
@@ -234,6 +246,15 @@ class Watch:
         if self._segment is not None and now_ns is not None:
             self._segment.advance_to(now_ns)
 
+    def _count_losses(self, late_s: float = 0.0) -> None:
+        """Take note of what was lost since the last call, and of being late."""
+        new = Disturbances(self._intake.lost(), self._intake.lost_packets())
+        self.losses.add(new)
+        if told := new.loss():
+            self._pending.append(Note(told))
+        if self._segment is not None and (told or late_s > _LATE_S):
+            self._segment.disturb(new)
+
     # Segments.
 
     def _begin(self, start_ns: int) -> None:
@@ -286,7 +307,11 @@ class Watch:
 
     def _facts(self) -> dict[str, Any]:
         assert self._segment is not None  # noqa: S101 -- set by the first message
-        return {"recording_s": self._segment.duration_s, "dropped": self.dropped}
+        disturbances = self._segment.disturbances
+        dropped = disturbances.lost.total()
+        return {
+            "recording_s": self._segment.duration_s, "dropped": dropped, **disturbances.to_dict(),
+        }  # fmt: skip
 
     def _end_segment(self) -> None:
         """End the segment, and complete its recording."""
@@ -301,13 +326,7 @@ class Watch:
     # Verdicts.
 
     def _collect(self) -> None:
-        """Collect new verdicts and the counts of dropped messages."""
-        if dropped := self._intake.dropped():
-            self.dropped += dropped.total()
-            listed = ", ".join(f"{topic} {count}" for topic, count in dropped.most_common(5))
-            self._pending.append(
-                Note(f"{dropped.total()} messages arrived too fast and were dropped ({listed}).")
-            )
+        """Collect new verdicts."""
         if self._judge is not None:
             try:
                 before = self._judge.left_out
@@ -329,7 +348,9 @@ class Watch:
 
     def _finish(self) -> Iterator[Event]:
         """Take what has come, end the segment, and wait for the last verdicts."""
-        yield from self._process(self._intake.take())
+        came = self._intake.take()
+        self._count_losses()
+        yield from self._process(came)
         self._end_segment()
         if self._judge is not None:
             for verdict in self._judge.close():

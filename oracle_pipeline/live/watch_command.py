@@ -121,7 +121,10 @@ def watch(
             lines = _as_json(event) if file_format == "json" else _as_text(event, watching)
             for line in lines:
                 click.echo(line)
-    click.echo(f"{watching.received} messages received, {watching.dropped} dropped.", err=True)
+    dropped = watching.losses.lost.total()
+    click.echo(f"{watching.received} messages received, {dropped} dropped.", err=True)
+    if told := watching.losses.loss():
+        click.echo(told, err=True)
     for path in watching.recordings:
         click.echo(f"Recording: {path}", err=True)
     ctx.exit(1 if alarms else 0)
@@ -185,6 +188,7 @@ def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
         yield (
             f"{event.end_s:6.0f} s  {shown.ljust(7)} score {event.score:.3g}, "
             f"p = {event.p_value:.3g} among normal windows"
+            f"{'' if event.timed else ', without rate and timing: this machine is too busy'}"
         )
     elif isinstance(event, WindowAlarm):
         verdict = event.verdict

@@ -33,6 +33,7 @@ class WindowVerdict:
     alarm: bool  # it raised an alarm
     evidence: tuple[Evidence, ...] = ()  # the features farthest from usual
     latency_s: float = 0.0  # wall time from the end of the window to the verdict
+    timed: bool = True  # whether features of rate and timing counted
 
 
 class WindowScorer:

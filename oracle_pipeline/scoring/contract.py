@@ -83,6 +83,8 @@ class Observation:
         Topic -> field that never changes -> its value as text.
     relays : mapping of str to mapping
         Topic -> source -> how many of the topic's messages are copies of the source's.
+    whole : bool
+        Whether no message was lost; if not, rates and copies prove nothing.
     """
 
     topics: Mapping[str, tuple[str, tuple[str, ...], float | None]]
@@ -90,6 +92,7 @@ class Observation:
     paces: Mapping[str, Pace] = field(default_factory=dict)
     constants: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     relays: Relays = field(default_factory=dict)
+    whole: bool = True
 
 
 class Observer:
@@ -142,6 +145,7 @@ class Observer:
             pace_of,
             self.samples.constants(),
             self.fingerprints.relays(),
+            not run.disturbances.loss(),
         )
 
 
@@ -210,10 +214,10 @@ class Contract:
                 found.append(Breach(name, f"Topic {name} ({kind}) is new."))
             else:
                 found += _of_topic(name, terms, kind, qos)
-                found += _of_rate(name, terms, rate_hz) if rates else []
+                found += _of_rate(name, terms, rate_hz) if rates and seen.whole else []
                 if kind in terms.types and name in seen.constants:
                     found += self._of_constants(name, seen.constants[name])
-                found += self._of_relay(name, seen)
+                found += self._of_relay(name, seen) if seen.whole else []
         return found + self._of_graph(seen.graph)
 
     def breach_of_silence(self, name: str, silent_s: float) -> Breach | None:

@@ -49,9 +49,12 @@ _REPORT_FEATURES = (
     ),
     Feature(
         "report_interval", "s", 0.05, "mean time between reports, maximum over the aircraft",
-        "domain",
+        "domain", timing=True,
     ),
-    Feature("report_gap", "s", 0.5, "longest time between two reports of an aircraft", "domain"),
+    Feature(
+        "report_gap", "s", 0.5, "longest time between two reports of an aircraft", "domain",
+        timing=True,
+    ),
     Feature(
         "appearances", "1", 0.5,
         "aircraft that first report far inside the airspace, not at its border or take-off",

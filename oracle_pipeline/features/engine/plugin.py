@@ -7,7 +7,7 @@ function gets that as arrays for one window. The thesis's own contract is in
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -62,6 +62,12 @@ class Feature:
     shortcut: bool = False  # identifies a run by its nodes and topics, not by its behaviour
     behaviour: bool = False  # measures the robot's behaviour, not the consistency of messages
     per_window: bool = True  # False: makes sense for a whole run only
+    timing: bool = False  # depends on when messages arrived at the recorder, or on how many did
+
+
+def timed(*features: Feature) -> tuple[Feature, ...]:
+    """Return features as those that depend on when messages arrive, or on how many do."""
+    return tuple(replace(each, timing=True) for each in features)
 
 
 @dataclass(frozen=True, slots=True)

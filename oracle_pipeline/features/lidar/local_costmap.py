@@ -16,12 +16,13 @@ from oracle_pipeline.features.engine.plugin import (
     Values,
     Window,
     hookimpl,
+    timed,
 )
 from oracle_pipeline.features.lidar.map_consistency import MapGrid, keep_grids
 from oracle_pipeline.features.statistics.reduction import mean
 from oracle_pipeline.robots.roles import LOCAL_COSTMAP
 
-FEATURES = (
+FEATURES = timed(
     Feature(
         "lethal_appearing", "1/s", 1.0,
         "cells of the local costmap that become lethal per second, mean", "navigation",

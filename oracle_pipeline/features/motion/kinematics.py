@@ -130,17 +130,17 @@ def _features() -> Iterator[Feature]:
         )  # fmt: skip
         yield Feature(
             pair.column("lag"), "s", 0.02 if loose else 5e-3,
-            f"delay of {what}; value furthest from 0 over the topics", "domain",
+            f"delay of {what}; value furthest from 0 over the topics", "domain", timing=True,
         )  # fmt: skip
         yield Feature(
             pair.column("residual"), _UNITS[pair.quantity], 0.02 if loose else 2e-3,
             f"root mean square of the residual, after scale and lag, of {what}; "
-            "maximum over the topics", "domain",
+            "maximum over the topics", "domain", timing=True,
         )  # fmt: skip
         yield Feature(
             pair.column("drift"), _UNITS[pair.quantity], 5e-3 if loose or SCAN in pair else 1e-3,
             f"mean of the residual, after scale and lag, of {what}; "
-            "value furthest from 0 over the topics", "domain",
+            "value furthest from 0 over the topics", "domain", timing=True,
         )  # fmt: skip
         if pair.is_directed:
             yield Feature(

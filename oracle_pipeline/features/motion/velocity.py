@@ -19,6 +19,7 @@ from oracle_pipeline.features.engine.plugin import (
     Values,
     Window,
     hookimpl,
+    timed,
 )
 from oracle_pipeline.features.geometry.scans import Floats
 from oracle_pipeline.features.statistics.reduction import mean
@@ -41,7 +42,7 @@ _MONITOR_FEATURES = (
         "navigation",
     ),
 )  # fmt: skip
-_COMMAND_FEATURES = (
+_COMMAND_FEATURES = timed(
     Feature(
         "command_zero", "1", 0.01, "share of the velocity commands that are zero", "navigation",
         behaviour=True,

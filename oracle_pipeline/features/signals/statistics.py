@@ -30,6 +30,7 @@ _PURE = {  # description, and smallest difference that means something
 }
 OF_RUN = (*_IN_UNIT, *_PURE)
 OF_WINDOW = ("mean", "std", "change")
+OF_STEPS = ("change", "autocorrelation", "held")  # others where messages are lost
 _LEVELS = [0, 2, 3]  # places of mean, minimum and maximum
 _COUNTED = {"seq", "count", "counter", "timestamp", "time", "ticks"}  # last words of names
 
@@ -82,10 +83,11 @@ def _column(topic: str, name: str, statistic: str) -> str:
 
 
 def _feature(name: str, statistic: str, unit: str) -> Feature:
+    timing = statistic in OF_STEPS
     if statistic in _IN_UNIT:
-        return Feature(name, unit, math.nan, f"{_IN_UNIT[statistic]} of the field")
+        return Feature(name, unit, math.nan, f"{_IN_UNIT[statistic]} of the field", timing=timing)
     words, floor = _PURE[statistic]
-    return Feature(name, "1", floor, f"{words}, of the field")
+    return Feature(name, "1", floor, f"{words}, of the field", timing=timing)
 
 
 def _as_they_are(signals: Signals) -> tuple[Signals, Floats]:

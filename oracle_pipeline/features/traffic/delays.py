@@ -20,6 +20,7 @@ from oracle_pipeline.features.engine.plugin import (
     Values,
     Window,
     hookimpl,
+    timed,
 )
 from oracle_pipeline.features.geometry.scans import Floats
 from oracle_pipeline.features.statistics.reduction import largest, median_and_deviation
@@ -31,7 +32,7 @@ SENSORS = {
     "inertial": "sensor_msgs/msg/Imu",
     "joints": "sensor_msgs/msg/JointState",
 }
-FEATURES = (
+FEATURES = timed(
     *(
         Feature(
             f"{name}_latency", "s", 5e-3,

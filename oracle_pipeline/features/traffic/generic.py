@@ -25,6 +25,7 @@ from oracle_pipeline.features.engine.plugin import (
     Values,
     Window,
     hookimpl,
+    timed,
 )
 from oracle_pipeline.features.statistics.arrays import ARRAYS, STATISTICS, statistics_of_topics
 from oracle_pipeline.features.statistics.reduction import (
@@ -59,7 +60,7 @@ def _features(
         )
 
 
-_TIMING_FEATURES = (
+_TIMING_FEATURES = timed(
     Feature("message_rate", "1/s", 1.0, "messages of all topics per second"),
     Feature("byte_rate", "B/s", 100.0, "bytes of all topics per second"),
     Feature("silent_topics", "1", 0.01, "share of the topics without messages"),

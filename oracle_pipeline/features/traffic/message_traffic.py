@@ -21,13 +21,14 @@ from oracle_pipeline.features.engine.plugin import (
     Values,
     Window,
     hookimpl,
+    timed,
 )
 from oracle_pipeline.features.engine.shared import once_for_graph, system_of
 
 Edge: TypeAlias = tuple[str, str]
 _Flows: TypeAlias = Mapping[Edge, int]  # messages or bytes by edge
 
-FEATURES = (
+FEATURES = timed(
     Feature("flow_entropy", "nat", 0.01, "Shannon entropy of the edges' shares of all messages"),
     Feature("byte_flow_entropy", "nat", 0.01, "Shannon entropy of the edges' shares of all bytes"),
     Feature("flow_variance", "1", 0.01, "variance of the edges' message counts / squared mean"),

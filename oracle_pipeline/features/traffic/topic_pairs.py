@@ -24,6 +24,7 @@ from oracle_pipeline.features.engine.plugin import (
     Values,
     Window,
     hookimpl,
+    timed,
 )
 from oracle_pipeline.features.statistics.arrays import (
     ARRAYS,
@@ -52,7 +53,7 @@ FEATURES = (
     Feature(
         "roughness_ratio", "1", 0.01, "abs(ln) of two topics' ratio of median roughness, maximum"
     ),
-    Feature("rate_ratio", "1", 0.01, "abs(ln) of two topics' ratio of messages, maximum"),
+    *timed(Feature("rate_ratio", "1", 0.01, "abs(ln) of two topics' ratio of messages, maximum")),
     Feature(
         "identity", "1", 0.01, "share of arrays that are equal on two topics, maximum",
         shortcut=True,

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import hypothesis.strategies as st
 import pytest
@@ -19,7 +20,7 @@ from oracle_pipeline.bags.dds_names import (
 from oracle_pipeline.bags.errors import DdsError
 from oracle_pipeline.bags.types import message_class, serialize, typestore
 from sim.middleware.qos import DEFAULT, LATCHED
-from tests.oracle_pipeline.live.robots import STRING
+from tests.oracle_pipeline.live.robots import STRING, TEXT
 
 names = st.from_regex(r"/[a-z][a-z0-9_]{0,8}(/[a-z][a-z0-9_]{0,8}){0,2}", fullmatch=True)
 
@@ -68,6 +69,19 @@ def test_messages_come_with_the_bytes_that_were_sent(domain, eventually):
     assert eventually(lambda: list(ready.wait(1.0))) == [reader]
     assert [raw.data for raw in reader.take()] == sent
     assert list(ready.wait(0.0)) == []
+
+
+def test_a_reader_counts_exactly_what_it_loses(domain):
+    participant = dds.join(domain)
+    reader = dds.RawReader(participant, "rt/words", STRING, replace(DEFAULT, depth=7))
+    writer = dds.RawWriter(participant, "rt/words", STRING, DEFAULT)
+    taken = 0
+    for sent in (3, 1000, 7, 8, 0):  # delivered at once, since the writer is in this process
+        for _ in range(sent):
+            writer.write(TEXT)
+        taken += len(reader.take())
+    assert taken == 3 + 7 + 7 + 7
+    assert taken + reader.lost == 1018
 
 
 def test_a_profile_comes_back_from_dds():

@@ -3,17 +3,21 @@
 import threading
 import time
 from collections import Counter
+from dataclasses import replace
 
 import pytest
 
 from oracle_pipeline.bags import dds
+from oracle_pipeline.bags.disturbances import Disturbances
+from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.graph_files import vertex_id
-from oracle_pipeline.bags.types import message_class, serialize
+from oracle_pipeline.bags.types import message_class, serialize, typestore
+from oracle_pipeline.features import build_manager, extract
 from oracle_pipeline.live.events import GraphTaken, MessageReceived, Note
 from oracle_pipeline.live.watch import Watch
 from oracle_pipeline.opened_run import open_run
 from sim.middleware.qos import CLOCK, SENSOR_DATA
-from tests.oracle_pipeline.live.robots import TEXT, Robot
+from tests.oracle_pipeline.live.robots import STRING, TEXT, Robot
 
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 _Clock = message_class(CLOCK_TYPE)
@@ -101,19 +105,67 @@ def test_a_watch_has_no_writer_on_the_domain(domain, speaker, tmp_path):
     assert {"rt/words", "rt/clock"} <= readers  # it was there
 
 
+class Flood(threading.Thread):
+    """A robot that numbers its messages, and sends 5000 of them at once after the first ones."""
+
+    def __init__(self, domain):
+        super().__init__(daemon=True)
+        self.robot = Robot(domain).node("talker", publishes=["/words"]).announce()
+        self.heard, self.ended, self.number = threading.Event(), False, 0
+
+    def run(self):
+        self.until(self.heard.is_set)
+        self.send(5000)
+        self.until(lambda: self.ended)
+
+    def until(self, is_over):
+        while not is_over():
+            self.send(1)
+            time.sleep(0.05)
+
+    def send(self, messages):
+        for _ in range(messages):
+            text = serialize(message_class(STRING)(str(self.number)), STRING)
+            self.robot.writers["talker", "/words"].write(text)
+            self.number += 1
+
+
 @pytest.mark.slow
-def test_messages_that_arrive_too_fast_are_dropped_counted_and_reported(domain, speaker):
-    speaker.start()
-    with Watch(domain, queue_bytes=3 * len(TEXT)) as watch:
-        events = []
+def test_every_message_is_recorded_or_counted_as_lost_and_timing_is_missing_then(domain, tmp_path):
+    flood, numbers, notes = Flood(domain), [], []
+    flood.start()
+    with Watch(domain, folder=tmp_path, name="today", queue_bytes=20_000) as watch:
         for event in watch:
-            events.append(event)
-            time.sleep(0.1)
-            if watch.dropped > 5:
-                watch.stop()
-    notes = [event.text for event in events if isinstance(event, Note)]
-    assert sum(int(note.split()[0]) for note in notes) == watch.dropped
-    assert all("/words" in note or "/clock" in note for note in notes)
+            if isinstance(event, MessageReceived):
+                numbers.append(int(typestore().deserialize_cdr(event.data, STRING).data))
+                if len(numbers) == 20:
+                    flood.heard.set()
+                if numbers[-1] - numbers[0] > 5100:
+                    watch.stop()
+            notes += [event.text] if isinstance(event, Note) else []
+    flood.ended = True
+    flood.join()
+    sent = numbers[-1] - numbers[0] + 1
+    lost = watch.losses.lost["/words"]
+    assert lost > 1000
+    assert len(numbers) == watch.received == sent - lost
+    assert sum(int(note.split()[0]) for note in notes) == lost
+    with open_run(tmp_path / "today") as run:
+        assert run.bag.topics["/words"].count == len(numbers)
+        assert run.disturbances.lost == {"/words": lost}
+        assert run.disturbances.spans
+        assert f"/words {lost}" in run.bag.losses[0]
+        manager = build_manager(None)
+        told = extract(run, manager)
+        untold = extract(replace(run, disturbances=Disturbances()), manager)
+    features = manager.features()
+    for lossy, whole in ((told.run, untold.run), (told.windows, untold.windows)):
+        hidden = lossy.isna() & ~whole.isna()
+        assert {c for c in hidden if hidden[c].any() and c in features} == {
+            c for c in whole if c in features and features[c].timing and whole[c].notna().any()
+        }
+    with pytest.raises(BagError, match="came too fast"):
+        open_run(tmp_path / "today", strict=True)
 
 
 @pytest.mark.slow
