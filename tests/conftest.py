@@ -1,7 +1,9 @@
 """Settings that every test runs under, and what all of them share."""
 
+import fcntl
 import gc
 import os
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -10,6 +12,10 @@ os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 import pytest
 from hypothesis import settings
+
+# Or each of a hundred processes compiles all that it imports, which takes twice as long.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # Tests leave little garbage in cycles: it is searched for a hundred times less often.
 gc.set_threshold(70_000)
@@ -47,3 +53,19 @@ def recorded_run(shared_folder: Path):
     folder = shared_folder / "recorded_runs"
     folder.mkdir(exist_ok=True)
     return RecordedRuns(folder)
+
+
+@pytest.fixture(scope="session")
+def normal_card(shared_folder: Path, recorded_run) -> Path:
+    """A reference card of four normal runs of one goal, learned once for all test processes."""
+    from oracle_pipeline.features import build_manager
+    from oracle_pipeline.scoring.learning import learn
+    from oracle_pipeline.scoring.reference import read_reference
+
+    card = shared_folder / "normal.card"
+    with Path(f"{card}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not card.exists():
+            runs = [recorded_run("lidar_passthrough", number).path for number in range(4)]
+            learn(read_reference(runs, build_manager())).save(card)
+    return card

@@ -7,9 +7,6 @@ import pytest
 
 from assets.attack_search import TEMPLATES, can_be_varied
 from assets.search.search import CONTROLS
-from oracle_pipeline.features import build_manager
-from oracle_pipeline.scoring.learning import learn
-from oracle_pipeline.scoring.reference import read_reference
 from resources.inbox import Inbox
 from sim.campaigns import Campaign
 from sim.pairs import CONTROL
@@ -30,15 +27,11 @@ def test_templates_are_attacks_on_the_robot_without_actuation() -> None:
 
 @pytest.mark.slow
 def test_a_search_is_reported_and_can_be_continued(
-    copy_of_campaign: Laboratory, recorded_run: RecordedRuns, tmp_path: Path
+    copy_of_campaign: Laboratory, recorded_run: RecordedRuns, normal_card: Path
 ) -> None:
-    for run in range(5):
-        linked(recorded_run("lidar_passthrough", run), tmp_path / "normal")
     folder = copy_of_campaign.root / "searches" / "range_drift"
     linked(recorded_run(CONTROL, 0, OF_SEARCH), folder / CONTROLS)
-    card = tmp_path / "normal.card"
-    learn(read_reference([tmp_path / "normal"], build_manager())).save(card)
-    defs = copy_of_campaign.defs(inbox=Inbox(folder="", card=str(card)))
+    defs = copy_of_campaign.defs(inbox=Inbox(folder="", card=str(normal_card)))
     for budget in (1, 2):
         config = {"budget": str(budget), "blocks": 1, "far": 0.2}
         done = defs.resolve_job_def("search_attacks").execute_in_process(

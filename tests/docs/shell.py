@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib.metadata
+import importlib.util
 import io
 import itertools
 import json
@@ -100,6 +101,8 @@ class Shell:
             check_make(words)
         elif words[0] == "python" and words[1].endswith(".py"):
             return self._script(words[1:], variables)
+        elif words[:2] == ["python", "-m"]:
+            check_module(words[2])
         elif words[0] == "python":
             return self._process([sys.executable, *words[1:]], variables)
         elif words[0] in SHELL:
@@ -132,8 +135,6 @@ class Shell:
         return 0, said.getvalue()
 
     def _ours(self, words: list[str], variables: dict[str, str]) -> tuple[int, str]:
-        if words[0] == "oracle-sim":
-            self.answers.clear()
         target = None
         if ">" in words:
             words, target = words[: words.index(">")], words[words.index(">") + 1]
@@ -143,6 +144,8 @@ class Shell:
             assert command is not None, arguments[0]
             command.make_context(arguments[0], arguments[1:])
             return 0, ""
+        if words[0] == "oracle-sim":
+            self.answers.clear()
         done = CliRunner().invoke(group, self._expanded(arguments), env=variables)
         if target:
             (self.folder / target).write_text(done.stdout, "utf-8")
@@ -166,6 +169,12 @@ class Shell:
             place = self.folder / arguments[arguments.index("--out") + 1]
             shutil.copytree(self.lab, place, dirs_exist_ok=True, copy_function=os.link)
         return True
+
+
+def check_module(name: str) -> None:
+    """Check that there is a program to run as a module, most of which take minutes."""
+    if importlib.util.find_spec(name) is None:
+        raise PageError(f"There is no module {name}.")
 
 
 def check_make(words: list[str]) -> None:

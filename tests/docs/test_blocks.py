@@ -6,6 +6,7 @@ first line are saved as that file. Simulations that take minutes are checked onl
 Dagster's commands: tests/test_commands.py runs those that the first tutorial shows.
 """
 
+import contextlib
 import runpy
 import shutil
 import tomllib
@@ -33,6 +34,7 @@ pytestmark = pytest.mark.slow
 CHECKED = {"python", "sh", "toml", "yaml"}
 RUN = [page for page in PAGES if any(block.language in CHECKED for block in blocks(page))]
 NORMAL, ATTACKED = "lidar_passthrough", "fake_object"
+LEARN = "oracle learn good_bags/ --output robot.card"  # on many pages: done once, by `reader`
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +65,8 @@ def reader(lab, recorded_run, tmp_path_factory):
     table = pd.concat([around(normal), attacked], ignore_index=True)
     table.attrs = dict(normal.attrs)
     write_table(table, folder / "data/datasets/features.parquet")
+    with contextlib.chdir(folder):
+        command(oracle, *LEARN.split()[1:])
     return folder
 
 
@@ -112,7 +116,8 @@ def folder(request, tmp_path, reader):
 @pytest.mark.parametrize("page", RUN, ids=name)
 def test_the_blocks_of_a_page_run_one_after_the_other(page, folder, lab, monkeypatch):
     monkeypatch.chdir(folder)
-    shell = Shell(folder, page.parent.name == "tutorials", lab)
+    tutorial = page.parent.name == "tutorials"
+    shell = Shell(folder, tutorial, lab, answers={} if tutorial else {LEARN: (0, "")})
     for block in blocks(page):
         if block.file:
             (folder / block.file).parent.mkdir(parents=True, exist_ok=True)

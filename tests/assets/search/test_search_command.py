@@ -16,7 +16,6 @@ from assets.search.outcome import misses, save
 from assets.search.scenario_parameters import scenario_attacks
 from assets.search.search import CONTROLS
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
-from oracle_pipeline.cli import main as oracle
 from oracle_pipeline.datasets import feature_dataset, window_dataset
 from oracle_pipeline.evaluation.campaign_evaluation import evaluate
 from oracle_pipeline.evaluation.truth import truth_table
@@ -34,26 +33,14 @@ pytestmark = pytest.mark.slow
 OF_SEARCH = Campaign(goals_per_run=1, timeout_s=120.0)  # the command's own limit
 
 
-@pytest.fixture(scope="module")
-def card(recorded_run: RecordedRuns, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A reference card of five normal runs."""
-    root = tmp_path_factory.mktemp("normal")
-    for run in range(5):
-        linked(recorded_run("lidar_passthrough", run), root)
-    card = root / "normal.card"
-    done = CliRunner().invoke(oracle, ["learn", str(root), "--output", str(card)])
-    assert done.exit_code == 0, done.output
-    return card
-
-
 @pytest.fixture
-def search(card: Path, recorded_run: RecordedRuns, tmp_path: Path) -> Callable[..., Result]:
+def search(normal_card: Path, recorded_run: RecordedRuns, tmp_path: Path) -> Callable[..., Result]:
     """The command on one template, in a folder that has the run without an attack already."""
     linked(recorded_run(CONTROL, 0, OF_SEARCH), tmp_path / CONTROLS)
 
     def run(budget: int, *more: str) -> Result:
         words = [
-            "search", "range_drift", "--reference", str(card), "--budget", str(budget),
+            "search", "range_drift", "--reference", str(normal_card), "--budget", str(budget),
             "--far", "0.2", "--blocks", "1", "--goals", "1", "--workers", "1",
             "--out", str(tmp_path), *more,
         ]  # fmt: skip
@@ -95,11 +82,12 @@ def test_another_objective_in_the_same_folder_is_an_error_or_a_separate_study(
 
 
 def test_a_search_without_a_template_chooses_topics_and_operators(
-    card: Path, tmp_path: Path
+    normal_card: Path, tmp_path: Path
 ) -> None:
     words = [
         "search", "--topic", "/odom", "--operator", "delay", "--operator", "drift",
-        "--reference", str(card), "--budget", "2", "--far", "0.2", "--blocks", "1", "--goals", "1",
+        "--reference", str(normal_card), "--budget", "2", "--far", "0.2", "--blocks", "1",
+        "--goals", "1",
         "--workers", "1", "--wiring", "absent", "--sampler", "nsga2", "--out", str(tmp_path),
     ]  # fmt: skip
     result = CliRunner().invoke(oracle_sim, words)

@@ -20,8 +20,6 @@ from oracle_pipeline.live.judge_process import JudgeProcess
 from oracle_pipeline.live.recent import CONTEXT_S, RecentMessages
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.robots.roles_file import RoleChoices
-from oracle_pipeline.scoring.learning import learn
-from oracle_pipeline.scoring.reference import read_reference
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 from sim.campaigns import Campaign
 from tests.oracle_pipeline.live.robots import STRING
@@ -33,16 +31,8 @@ PER_HOUR = 200.0  # false alarms; four short runs support no lower rate
 SECOND_NS = 10**9
 
 
-@pytest.fixture(scope="module")
-def card(recorded_run, tmp_path_factory):
-    paths = [recorded_run(NORMAL, number).path for number in range(4)]
-    path = tmp_path_factory.mktemp("card") / "robot.card"
-    learn(read_reference(paths, build_manager(None))).save(path)
-    return path
-
-
-def test_an_interrupt_of_the_whole_terminal_does_not_end_the_judge_while_it_starts(card):
-    judge = JudgeProcess(card, PER_HOUR)
+def test_an_interrupt_of_the_whole_terminal_does_not_end_the_judge_while_it_starts(normal_card):
+    judge = JudgeProcess(normal_card, PER_HOUR)
     (process,) = (each for each in multiprocessing.active_children() if each.name == "judge")
     os.kill(process.pid, signal.SIGINT)
     process.join(2.0)
@@ -72,12 +62,12 @@ def judged(card, run):
     return verdicts, window
 
 
-def test_every_window_gets_its_verdict_and_an_attack_raises_an_alarm(card, recorded_run):
+def test_every_window_gets_its_verdict_and_an_attack_raises_an_alarm(normal_card, recorded_run):
     with open_run(recorded_run("random_noise", 4).path) as run:
-        attacked, windows = judged(card, run)
+        attacked, windows = judged(normal_card, run)
     assert [verdict.end_s for verdict in attacked] == [WINDOW_S + HOP_S * n for n in range(windows)]
     with open_run(recorded_run(NORMAL, 4).path) as run:
-        normal, _ = judged(card, run)
+        normal, _ = judged(normal_card, run)
     assert any(verdict.alarm for verdict in attacked)
     assert attacked[-1].evidence
     assert np.median([v.score for v in attacked]) > 3 * np.median([v.score for v in normal])
@@ -183,8 +173,8 @@ def test_a_missing_card_is_reported_at_once(tmp_path):
         JudgeProcess(tmp_path / "none.card", None)
 
 
-def test_the_death_of_the_judging_process_is_reported(card, eventually):
-    judge = JudgeProcess(card, PER_HOUR)
+def test_the_death_of_the_judging_process_is_reported(normal_card, eventually):
+    judge = JudgeProcess(normal_card, PER_HOUR)
     judge._process.kill()
     judge._process.join()
 
@@ -214,8 +204,10 @@ class Hurried:
         self.judge.end_window(self.start_ns, end_ns - round(WINDOW_S * SECOND_NS), end_ns)
 
 
-def test_windows_that_come_too_fast_are_left_out_and_the_newest_are_judged(card, recorded_run):
-    hurried = Hurried(card, recorded_run(NORMAL, 4).path)
+def test_windows_that_come_too_fast_are_left_out_and_the_newest_are_judged(
+    normal_card, recorded_run
+):
+    hurried = Hurried(normal_card, recorded_run(NORMAL, 4).path)
     judge, verdicts = hurried.judge, []
     for number in range(10):
         hurried.end_window(10.0 + number)
@@ -225,8 +217,8 @@ def test_windows_that_come_too_fast_are_left_out_and_the_newest_are_judged(card,
     judge.close()
 
 
-def test_a_judge_that_is_far_behind_judges_no_window_that_lacks_messages(card, recorded_run):
-    hurried = Hurried(card, recorded_run(NORMAL, 4).path)
+def test_a_judge_that_is_far_behind_judges_no_window_that_lacks_messages(normal_card, recorded_run):
+    hurried = Hurried(normal_card, recorded_run(NORMAL, 4).path)
     judge, ended, verdicts = hurried.judge, 30, []
     for number in range(ended):
         hurried.end_window(5.0 + 0.1 * number)
