@@ -1,7 +1,6 @@
 """``oracle-sim search``: search for attacks that the oracle misses."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -83,10 +82,6 @@ if TYPE_CHECKING:
     "--corpus", type=click.Path(path_type=Path, file_okay=False),
     help="Folder of the misses, as scenario files.  [default: misses in --out]",
 )  # fmt: skip
-@click.option(
-    "--compare", "seeds", type=click.IntRange(min=2), metavar="SEEDS",
-    help="Number of seeds to compare the sampler with random search; prints the medians.",
-)  # fmt: skip
 @allow_actuation_option
 @campaign_options
 @workers_option
@@ -105,7 +100,6 @@ def search(
     screen: bool,
     out: Path,
     corpus: Path | None,
-    seeds: int | None,
     allow_actuation: bool,
     workers: int,
     **options: Any,
@@ -131,7 +125,6 @@ def search(
     """  # noqa: D301 -- click reads the control character
     from assets.search.objectives import OBJECTIVES
     from assets.search.outcome import MISSES, PICTURE, save
-    from assets.search.samplers_compared import compared
     from assets.search.search import CONTROLS, Search, SearchSettings, TrialBudget, attacks
 
     if (template is None) == (not topics):
@@ -145,21 +138,8 @@ def search(
         )  # fmt: skip
         space = attacks(template, controls, settings)
         click.echo(f"Varying {space.text}. Searching for {OBJECTIVES[objective].text}.")
-
-        def searched(folder: Path, by: "Sampler", seed: int) -> Search:
-            search = Search(folder, space, replace(settings, sampler=by), controls, seed)
-            _follow(search.run(limit, workers, _print_failure), far)
-            return search
-
-        if seeds is not None:
-            click.echo(
-                compared(
-                    lambda by, seed: searched(out / f"{by}_{seed}", by, seed).findings,
-                    sampler, range(of_runs.seed, of_runs.seed + seeds), far,
-                )
-            )  # fmt: skip
-            return
-        search = searched(out, sampler, of_runs.seed)
+        search = Search(out, space, settings, controls, of_runs.seed)
+        _follow(search.run(limit, workers, _print_failure), far)
         findings = search.findings
         files = save(out, findings, search.front, far, corpus or out / MISSES)
     click.echo(
