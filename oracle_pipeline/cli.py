@@ -28,7 +28,7 @@ from oracle_pipeline.replay.replay_command import replay
 from oracle_pipeline.reporting.kinds_command import invariants, kinds, review
 
 if TYPE_CHECKING:
-    from oracle_pipeline.features import Measured, Table
+    from oracle_pipeline.features import RecordingFeatures, Table
     from oracle_pipeline.robots.roles_file import RoleChoices
     from oracle_pipeline.scoring.verdict import Verdict
 
@@ -194,14 +194,14 @@ def _is_nan(value: object) -> bool:
     return isinstance(value, float) and math.isnan(value)
 
 
-def _text(table: "Table", tables: "Measured") -> str:
+def _text(table: "Table", tables: "RecordingFeatures") -> str:
     """Return a feature table for reading, and the notes on it."""
     from oracle_pipeline.features.engine.table_text import as_text
 
     return as_text(table.frame(), tables.notes)
 
 
-def _json(table: "Table", tables: "Measured") -> str:
+def _json(table: "Table", tables: "RecordingFeatures") -> str:
     """Return the rows of a feature table, with NaN as null, and the notes on them."""
     from oracle_pipeline.datasets import MISSING, WHERE
     from oracle_pipeline.features import families

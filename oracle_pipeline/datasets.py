@@ -92,11 +92,6 @@ def topic_of_signal(column: str) -> str:
     return column.removeprefix(SIGNALS).rpartition("/")[0] if column.startswith(SIGNALS) else ""
 
 
-def feature_families(df: pd.DataFrame) -> list[str]:
-    """Return the families present, in the order of their first column."""
-    return list(dict.fromkeys(column.split(".", 1)[0] for column in feature_columns(df)))
-
-
 def field_metadata(df: pd.DataFrame) -> dict[str, dict[str, str]]:
     """Return the declarations of each column (``unit``, ``floor``, ...); may be empty."""
     return dict(df.attrs.get("fields", {}))

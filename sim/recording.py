@@ -13,8 +13,8 @@ import networkx as nx
 import numpy as np
 
 from oracle_pipeline.bags.graph_files import (
-    Kind,
     RosGraph,
+    VertexKind,
     add_traffic,
     vertex_id,
     write_gexf,
@@ -209,7 +209,7 @@ class GraphRecorder:
         stay inside the process, so their traffic is 0.
         """
         graph: RosGraph = run.copy()
-        kinds: tuple[tuple[Kind, Iterator[Offer]], ...] = (
+        kinds: tuple[tuple[VertexKind, Iterator[Offer]], ...] = (
             ("service", self._domain.services()),
             ("action", self._domain.actions()),
         )

@@ -7,7 +7,7 @@ from assets.worker.run_job import RECORDED, TABLES, AssetOfRun, Figures, Status
 from assets.worker.versions import feature_code
 from oracle_pipeline.bags.graph_files import read_gexf
 from oracle_pipeline.bags.integrity import require_undamaged
-from oracle_pipeline.bags.layout import Table
+from oracle_pipeline.bags.layout import TableName
 from oracle_pipeline.bags.manifest import Kept, Manifest
 from oracle_pipeline.bags.run_directory import GRAPHS_FOLDER, RunDirectory
 from oracle_pipeline.datasets import MISSING, content_hash, feature_columns, read_table
@@ -95,7 +95,7 @@ def described_features(run: RunDirectory, status: Status, wall_s: float) -> dict
     return {asset: _of_table(run, table, status, wall_s) for asset, table in TABLES.items()}
 
 
-def _of_table(run: RunDirectory, table: Table, status: Status, wall_s: float) -> AssetOfRun:
+def _of_table(run: RunDirectory, table: TableName, status: Status, wall_s: float) -> AssetOfRun:
     place = run.feature_table(table)
     df = read_table(place)
     reasons = [json.loads(row) for row in df[MISSING]]

@@ -4,14 +4,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 from assets.worker.reproduction import Reproduction
-from oracle_pipeline.bags.layout import Table
+from oracle_pipeline.bags.layout import TableName
 from oracle_pipeline.bags.manifest import Kept
 from oracle_pipeline.bags.run_directory import RunDirectory
 from sim.campaigns import Campaign
 
 RECORDED = ("experiment_runs", "bags", "interval_graphs")  # written by the simulation in one step
 # Extracted from the recording in one step.
-TABLES: dict[str, Table] = {"window_features": "window", "run_features": "run"}
+TABLES: dict[str, TableName] = {"window_features": "window", "run_features": "run"}
 OF_A_RUN = frozenset({*RECORDED, *TABLES})  # every asset of a run
 
 Figures = dict[str, int | float | str | bytes]  # bytes: a picture, PNG

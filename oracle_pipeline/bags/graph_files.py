@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 else:  # most recordings have no graph, and importing networkx takes longer than reading them
     RosGraph = Any
 
-Kind: TypeAlias = Literal["node", "topic", "service", "action"]
+VertexKind: TypeAlias = Literal["node", "topic", "service", "action"]
 
-KINDS: tuple[Kind, ...] = ("node", "topic", "service", "action")
+KINDS: tuple[VertexKind, ...] = ("node", "topic", "service", "action")
 _EDGE_ATTRIBUTES = ("messages", "bytes")
 
 
-def vertex_id(kind: Kind, name: str) -> str:
+def vertex_id(kind: VertexKind, name: str) -> str:
     """Return the identifier of a vertex, such as ``topic:/scan``."""
     return f"{kind}:{name}"
 

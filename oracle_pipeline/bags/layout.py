@@ -7,8 +7,8 @@ root is a folder of this machine or, as a ``UPath``, one in an object store.
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-Table = Literal["run", "window"]
-TABLES: tuple[Table, ...] = ("run", "window")
+TableName = Literal["run", "window"]
+TABLES: tuple[TableName, ...] = ("run", "window")
 
 RUNS, FEATURES, DATASETS, REPORT, GRIDS = "runs", "features", "datasets", "report", "grids"
 FOREIGN = "foreign"  # results for recordings from elsewhere
@@ -24,12 +24,12 @@ def run_folder(root: Path, mode: str, run_id: str) -> Path:
     return root / RUNS / mode / run_id
 
 
-def feature_table(root: Path, table: Table, mode: str, run_id: str) -> Path:
+def feature_table(root: Path, table: TableName, mode: str, run_id: str) -> Path:
     """Return ``<root>/features/<table>/<mode>/<run_id>.parquet``."""
     return root / FEATURES / table / mode / f"{run_id}.parquet"
 
 
-def feature_tables(root: Path, table: Table) -> list[Path]:
+def feature_tables(root: Path, table: TableName) -> list[Path]:
     """Return the feature tables of all runs that are below a root, sorted by mode and run."""
     return sorted(root.glob(f"{FEATURES}/{table}/*/*.parquet"))
 

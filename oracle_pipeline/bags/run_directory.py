@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from oracle_pipeline.bags.errors import RunDirectoryError
-from oracle_pipeline.bags.layout import RUNS, Table, feature_table, run_folder
+from oracle_pipeline.bags.layout import RUNS, TableName, feature_table, run_folder
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.protocol import run_key
 from oracle_pipeline.bags.remote import is_local
@@ -120,7 +120,7 @@ class RunDirectory:
         """Folder of its graphs: one per 10 s interval, ``run.gexf`` and ``run.graphml``."""
         return self.path / GRAPHS_FOLDER
 
-    def feature_table(self, table: Table) -> Path:
+    def feature_table(self, table: TableName) -> Path:
         """Return the place of the features of the run, or of its windows."""
         return feature_table(self.root, table, self.mode, self.run_id)
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from oracle_pipeline.checks import times, values
-from oracle_pipeline.checks.topic import Fault, Topic, read_topics
+from oracle_pipeline.checks.topic import CheckedTopic, Fault, read_topics
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.robots.robot import find_robots
 
 #: The checks by name; each yields the faults of one topic.
-CHECKS: Mapping[str, Callable[[Topic], Iterator[Fault]]] = {
+CHECKS: Mapping[str, Callable[[CheckedTopic], Iterator[Fault]]] = {
     "gap": times.gaps,
     "late_burst": times.late_bursts,
     "stamp": times.stamps,
@@ -53,7 +53,7 @@ def check_recording(path: Path, *, strict: bool = False) -> list[Fault]:
     return sorted(faults, key=lambda fault: (fault.start_s, fault.topic, fault.check))
 
 
-def _joined_gaps(faults: list[Fault], topics: list[Topic]) -> list[Fault]:
+def _joined_gaps(faults: list[Fault], topics: list[CheckedTopic]) -> list[Fault]:
     """Replace gaps of nearly all topics at the same time by one of the recording."""
     gaps = [fault for fault in faults if fault.check == "gap"]
     active = sum(len(topic.times_s) > 0 for topic in topics)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from oracle_pipeline.checks.topic import FEWEST, Fault, Floats, Topic, worst
+from oracle_pipeline.checks.topic import FEWEST, CheckedTopic, Fault, Floats, worst
 
 _STEADY = 3.0  # the 95th percentile of a steady topic's periods, in medians
 _GAP, _SHORTEST_GAP_S = 10.0, 0.5  # a gap is both: in periods, and in seconds
@@ -14,7 +14,7 @@ _DISORDER = 0.01  # more stamps that go back come from several publishers
 _STEP_NS = 1_000_000  # smaller steps back are rounding
 
 
-def gaps(topic: Topic) -> Iterator[Fault]:
+def gaps(topic: CheckedTopic) -> Iterator[Fault]:
     """Find times in which a topic with a steady rate was silent."""
     steps, period = _steps(topic)
     if not period:
@@ -27,7 +27,7 @@ def gaps(topic: Topic) -> Iterator[Fault]:
         )  # fmt: skip
 
 
-def late_bursts(topic: Topic) -> Iterator[Fault]:
+def late_bursts(topic: CheckedTopic) -> Iterator[Fault]:
     """Find messages that were held back and then came at once."""
     steps, period = _steps(topic)
     if not period:
@@ -42,7 +42,7 @@ def late_bursts(topic: Topic) -> Iterator[Fault]:
         )  # fmt: skip
 
 
-def stamps(topic: Topic) -> Iterator[Fault]:
+def stamps(topic: CheckedTopic) -> Iterator[Fault]:
     """Find stamps in headers that are older than those before."""
     back = -np.diff(topic.stamps_ns)
     found = np.flatnonzero(back > _STEP_NS)
@@ -53,7 +53,7 @@ def stamps(topic: Topic) -> Iterator[Fault]:
         )  # fmt: skip
 
 
-def _steps(topic: Topic) -> tuple[Floats, float]:
+def _steps(topic: CheckedTopic) -> tuple[Floats, float]:
     """Return times between messages, and the period of a steady topic; 0 of another one."""
     steps = np.diff(topic.times_s)
     if len(steps) < FEWEST:
@@ -62,6 +62,6 @@ def _steps(topic: Topic) -> tuple[Floats, float]:
     return steps, float(median) if 0.0 < high <= _STEADY * median else 0.0
 
 
-def _spans(topic: Topic, steps: np.ndarray) -> Floats:
+def _spans(topic: CheckedTopic, steps: np.ndarray) -> Floats:
     """Return the times between which steps lie."""
     return np.column_stack([topic.times_s[steps], topic.times_s[steps + 1]])

@@ -32,7 +32,7 @@ class Fault(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Topic:
+class CheckedTopic:
     """The messages of one topic.
 
     Attributes
@@ -53,7 +53,7 @@ class Topic:
     signals: tuple[Signals, ...]
 
 
-class Signal(NamedTuple):
+class CheckedSignal(NamedTuple):
     """One number of the messages of a topic, over time."""
 
     name: str
@@ -68,7 +68,7 @@ class Signal(NamedTuple):
         return len(finite) >= FEWEST and float(np.mean(np.diff(finite) != 0.0)) >= _LIVELY_SHARE
 
 
-def read_topics(robot: Robot) -> list[Topic]:
+def read_topics(robot: Robot) -> list[CheckedTopic]:
     """Read the topics of a robot's recording, in the order of their names."""
     collector = SignalCollector(robot.bag)
     recording = KeptMessages.read(robot, (), see=collector.see)
@@ -77,7 +77,7 @@ def read_topics(robot: Robot) -> list[Topic]:
     for signals in collector.signals(recording.times_ns):
         by_topic.setdefault(signals.topic, []).append(signals)
     return [
-        Topic(
+        CheckedTopic(
             name, arrivals.msgtype, arrivals.times_s, arrivals.header_stamps_ns,
             tuple(by_topic.get(name, ())),
         )
@@ -85,13 +85,13 @@ def read_topics(robot: Robot) -> list[Topic]:
     ]  # fmt: skip
 
 
-def signals_of(topic: Topic) -> list[Signal]:
+def signals_of(topic: CheckedTopic) -> list[CheckedSignal]:
     """Return the numbers of a topic one by one."""
     found = []
     for signals in topic.signals:
         times_s = np.asarray(signals.times_ns / 1e9, dtype=np.float64)
         named = zip(signals.names, signals.units, signals.values.T, strict=True)
-        found += [Signal(name, unit, times_s, values) for name, unit, values in named]
+        found += [CheckedSignal(name, unit, times_s, values) for name, unit, values in named]
     return found
 
 

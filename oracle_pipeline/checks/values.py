@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.checks.topic import (
     FEWEST,
+    CheckedSignal,
+    CheckedTopic,
     Fault,
     Floats,
-    Signal,
-    Topic,
     runs,
     signals_of,
     worst,
@@ -47,7 +47,7 @@ LIMITS: Mapping[tuple[str, str], tuple[float, float]] = {
 }
 
 
-def stuck(topic: Topic) -> Iterator[Fault]:
+def stuck(topic: CheckedTopic) -> Iterator[Fault]:
     """Find stretches in which numbers that always change are all the same.
 
     A topic is stuck if all its lively signals are. A robot that stands still is not: what it
@@ -81,12 +81,12 @@ def _long(found: NDArray[np.int64], times_s: Floats) -> NDArray[np.int64]:
     return found[is_long & (lengths >= _LONGER * usual)]
 
 
-def _moves(lively: list[Signal], row: int) -> bool:
+def _moves(lively: list[CheckedSignal], row: int) -> bool:
     """Return whether the robot has a velocity at a message."""
     return any(s.unit in _VELOCITIES and abs(s.values[row]) > 1e-3 for s in lively)
 
 
-def jumps(topic: Topic) -> Iterator[Fault]:
+def jumps(topic: CheckedTopic) -> Iterator[Fault]:
     """Find places that jump: steps far larger than nearly all others, after which they stay.
 
     Only places are looked at, since velocities and forces may change at once.
@@ -111,7 +111,7 @@ def jumps(topic: Topic) -> Iterator[Fault]:
             )  # fmt: skip
 
 
-def _is_place(topic: Topic, signal: Signal) -> bool:
+def _is_place(topic: CheckedTopic, signal: CheckedSignal) -> bool:
     """Return whether a signal is where something is, and neither a command nor a mean of many."""
     above, _, last = signal.name.rpartition(".")
     several = any(f"{above}.length" in signals.names for signals in topic.signals)
@@ -119,7 +119,7 @@ def _is_place(topic: Topic, signal: Signal) -> bool:
     return named and not several and signal.is_lively
 
 
-def _unwrapped(signal: Signal) -> Floats:
+def _unwrapped(signal: CheckedSignal) -> Floats:
     values = signal.values[np.isfinite(signal.values)]
     if len(values) < len(signal.values):
         values = np.interp(
@@ -136,7 +136,7 @@ def _stays(values: Floats, at: int) -> bool:
     return len(after) > 1 and bool(abs(np.median(after) - np.median(before)) > 0.5 * step)
 
 
-def saturation(topic: Topic) -> Iterator[Fault]:
+def saturation(topic: CheckedTopic) -> Iterator[Fault]:
     """Find measurements that rest at their largest or smallest number."""
     if topic.msgtype.startswith(("geometry_msgs/msg/Twist", "nav_msgs/")):
         return  # commands and their results have limits
@@ -159,7 +159,7 @@ def saturation(topic: Topic) -> Iterator[Fault]:
                 )  # fmt: skip
 
 
-def limits(topic: Topic) -> Iterator[Fault]:
+def limits(topic: CheckedTopic) -> Iterator[Fault]:
     """Find numbers beyond what their type or physics allow."""
     for signal in signals_of(topic):
         low, high = _limits(topic.msgtype, signal.name)
@@ -185,7 +185,7 @@ def _limits(msgtype: str, name: str) -> tuple[float, float]:
     )
 
 
-def not_finite(topic: Topic) -> Iterator[Fault]:
+def not_finite(topic: CheckedTopic) -> Iterator[Fault]:
     """Find NaN and infinity in signals that are finite as a rule."""
     if topic.msgtype == "sensor_msgs/msg/Range":
         return  # infinity is "no return" there, REP 117
@@ -202,7 +202,7 @@ def not_finite(topic: Topic) -> Iterator[Fault]:
             )  # fmt: skip
 
 
-def rotations(topic: Topic) -> Iterator[Fault]:
+def rotations(topic: CheckedTopic) -> Iterator[Fault]:
     """Find quaternions whose norm is not 1. Where all are 0, there is no orientation."""
     for signal in signals_of(topic):
         if not signal.name.endswith(".norm") or not np.any(signal.values > 0.0):
@@ -217,7 +217,7 @@ def rotations(topic: Topic) -> Iterator[Fault]:
             )  # fmt: skip
 
 
-def counters(topic: Topic) -> Iterator[Fault]:
+def counters(topic: CheckedTopic) -> Iterator[Fault]:
     """Find counters that go back, or skip numbers: messages were lost."""
     for signal in signals_of(topic):
         steps = np.diff(signal.values)
@@ -241,11 +241,11 @@ def counters(topic: Topic) -> Iterator[Fault]:
             )  # fmt: skip
 
 
-def _at(signal: Signal, rows: NDArray[np.int64]) -> Floats:
+def _at(signal: CheckedSignal, rows: NDArray[np.int64]) -> Floats:
     return np.column_stack([signal.times_s[rows], signal.times_s[rows]])
 
 
-def _between(signal: Signal, steps: NDArray[np.int64]) -> Floats:
+def _between(signal: CheckedSignal, steps: NDArray[np.int64]) -> Floats:
     return np.column_stack([signal.times_s[steps], signal.times_s[steps + 1]])
 
 

@@ -18,7 +18,7 @@ from oracle_pipeline.features.engine.plugin import (
 )
 from oracle_pipeline.features.engine.tables import (
     FeatureTables,
-    Measured,
+    RecordingFeatures,
     Table,
     families,
     together,
@@ -33,10 +33,10 @@ __all__ = [
     "FeaturePlugin",
     "FeatureTables",
     "Located",
-    "Measured",
     "Missing",
     "PluginError",
     "RawRecord",
+    "RecordingFeatures",
     "Request",
     "Series",
     "Table",

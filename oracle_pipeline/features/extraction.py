@@ -34,7 +34,7 @@ from oracle_pipeline.features.engine.plugin import (
 )
 from oracle_pipeline.features.engine.shared import system_of
 from oracle_pipeline.features.engine.spans import Span
-from oracle_pipeline.features.engine.tables import FeatureTables, Measured, Table
+from oracle_pipeline.features.engine.tables import FeatureTables, RecordingFeatures, Table
 from oracle_pipeline.features.manager import FeatureManager
 from oracle_pipeline.features.signals.collector import SignalCollector
 from oracle_pipeline.features.signals.statistics import SignalTable
@@ -108,7 +108,7 @@ def measure(
     robot: Robot | None = None,
     recording: KeptMessages | None = None,
     signals: SignalCollector | None = None,
-) -> Measured:
+) -> RecordingFeatures:
     """Compute all features of one robot of a recording.
 
     Parameters
@@ -165,7 +165,7 @@ def measure(
         *run.bag.losses, *run.bag.notes,
         *(f"{robot.name}: {note}" if robot.name else note for note in own),
     )  # fmt: skip
-    return Measured(
+    return RecordingFeatures(
         _table(_keys(run, robot), {}, of_run.values, [of_run], fields),
         _table(_keys(run, robot), starts, windowed, of_windows, window_fields),
         notes,

@@ -5,17 +5,17 @@ from typing import Literal, TypeAlias
 
 from oracle_pipeline.bags.parts import is_recording
 
-Kind: TypeAlias = Literal["tables", "lerobot", "ulog", "dataflash"]
+LogFormat: TypeAlias = Literal["tables", "lerobot", "ulog", "dataflash"]
 
 EPISODE = "episode_"
 INFORMATION = Path("meta", "info.json")  # of a LeRobot data set
 
 _KEYS = {"run_id", "mode", "label", "block"}  # of a table of features
 _SUFFIXES = (".csv", ".parquet")
-_MAGIC: dict[bytes, Kind] = {b"ULog\x01\x12\x35": "ulog", b"\xa3\x95\x80": "dataflash"}
+_MAGIC: dict[bytes, LogFormat] = {b"ULog\x01\x12\x35": "ulog", b"\xa3\x95\x80": "dataflash"}
 
 
-def kind_of(path: Path) -> Kind | None:
+def kind_of(path: Path) -> LogFormat | None:
     """Return what kind of log a path is; None for bags, MCAP included, and everything else."""
     if path.is_dir():
         return "tables" if not is_recording(path) and tables_in(path) else None

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from oracle_pipeline.logs.files import Kind, is_dataset, kind_of, tables_in
+from oracle_pipeline.logs.files import LogFormat, is_dataset, kind_of, tables_in
 from oracle_pipeline.logs.log import Log, LogError
 from oracle_pipeline.logs.recording import write_bag
 
 # Modules and functions by kind; imported when needed, as each has a heavy library.
-_READERS: dict[Kind | Literal["mcap"], tuple[str, str]] = {
+_READERS: dict[LogFormat | Literal["mcap"], tuple[str, str]] = {
     "tables": ("tables", "read_tables"),
     "lerobot": ("lerobot", "read_episode"),
     "ulog": ("ulog", "read_ulog"),

@@ -18,7 +18,7 @@ from oracle_pipeline.bags.reader import BagReader, RawMessage
 from oracle_pipeline.bags.types import serialize
 from oracle_pipeline.opened_run import OpenedRun, open_run
 
-SCAN, RANGE = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range"
+SCAN = "sensor_msgs/msg/LaserScan"
 ODOMETRY, IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 JOINTS, TRANSFORMS = "sensor_msgs/msg/JointState", "tf2_msgs/msg/TFMessage"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"

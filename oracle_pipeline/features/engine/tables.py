@@ -59,7 +59,7 @@ class Table:
         return frame
 
 
-class Measured(NamedTuple):
+class RecordingFeatures(NamedTuple):
     """The features of one recording, as columns."""
 
     run: Table  # one row for each robot
@@ -73,19 +73,19 @@ class Measured(NamedTuple):
         return tables
 
 
-def together(robots: Sequence[Measured]) -> Measured:
+def together(robots: Sequence[RecordingFeatures]) -> RecordingFeatures:
     """Join the tables of the robots of one recording: a row for each robot, by ``run_id``."""
     if len(robots) == 1:
         return robots[0]
     notes = dict.fromkeys(note for measured in robots for note in measured.notes)
-    return Measured(
+    return RecordingFeatures(
         _below([measured.run for measured in robots]),
         _below([measured.windows for measured in robots]),
         tuple(notes),
     )
 
 
-def families(measured: Measured) -> dict[str, dict[str, Any]]:
+def families(measured: RecordingFeatures) -> dict[str, dict[str, Any]]:
     """Return, for each family, the number of computed features and the reasons for missing ones."""
     summary: dict[str, dict[str, Any]] = {}
     reasons = [json.loads(text) for text in measured.run.columns[MISSING]]

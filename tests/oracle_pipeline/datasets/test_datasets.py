@@ -11,7 +11,6 @@ from oracle_pipeline.datasets import (
     content_hash,
     feature_columns,
     feature_dataset,
-    feature_families,
     feature_floors,
     is_malicious,
     read_table,
@@ -41,7 +40,6 @@ def test_the_order_of_runs_does_not_matter(tables):
 
 
 def test_columns_are_found_by_family():
-    assert feature_families(CAMPAIGN) == ["structural", "contextual"]
     structural = feature_columns(CAMPAIGN, ["structural"])
     assert structural == ["structural.density", "structural.entropy"]
     assert feature_floors(CAMPAIGN) == {"structural.density": 1e-4, "contextual.duration": 0.1}
