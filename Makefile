@@ -87,7 +87,7 @@ test: $(VENV)/.ready-dev ## Check style and types, and run every test that needs
 # Tests begin once the style is right; types are checked beside them.
 .PHONY: test-all
 test-all: lint $(VENV)/.compiled
-	pytest -n 3 --dist loadfile --no-loadscope-reorder $(TESTS)
+	pytest -n 4 --dist loadfile --no-loadscope-reorder $(TESTS)
 
 # In one session, the tests share runs and processes.
 test-everything: $(VENV)/.ready-dev ## Run all tests at once, as continuous integration does; needs Chromium, cmake and a compiler

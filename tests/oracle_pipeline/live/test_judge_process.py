@@ -24,7 +24,7 @@ from oracle_pipeline.windows import HOP_S, WINDOW_S
 from sim.campaigns import Campaign
 from tests.oracle_pipeline.live.robots import STRING
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(3)
 
 NORMAL = "lidar_passthrough"
 PER_HOUR = 200.0  # false alarms; four short runs support no lower rate
