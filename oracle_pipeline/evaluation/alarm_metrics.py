@@ -51,6 +51,7 @@ def watched(campaign: JudgedRuns, scorer: CrossConformalScorer | None) -> Watche
         return WatchedRuns(score, alarm, np.nan)
     block, ends_s = campaign.block[campaign.run], campaign.end_s
     score[:] = scorer.window_scores(campaign.windows, block)
+    families = scorer.window_families(campaign.windows)
     promised = []
     for name in np.unique(block):
         normal = scorer.windows_.without(name)
@@ -60,8 +61,8 @@ def watched(campaign: JudgedRuns, scorer: CrossConformalScorer | None) -> Watche
         for run in np.unique(campaign.run[of_block]):
             watch = AlarmWatch(rule)
             for window in of_block[campaign.run[of_block] == run].tolist():
-                raised = watch.feed(float(ends_s[window]), float(score[window]))
-                alarm[window] = raised is not None
+                fed = float(ends_s[window]), float(score[window]), families[window]
+                alarm[window] = watch.feed(*fed) is not None
     return WatchedRuns(score, alarm, max(promised))
 
 

@@ -79,7 +79,7 @@ class WindowScorer:
         """Judge a window by its row of features."""
         score = float(self._scorer.window_scores(row)[0])
         higher = len(self._normal) - int(np.searchsorted(self._normal, score))
-        alarm = self._watch.feed(end_s, score)
+        alarm = self._watch.feed(end_s, score, self._scorer.window_families(row)[0])
         return WindowVerdict(
             start_s=float(row[WINDOW_START].iloc[0]),
             end_s=end_s,

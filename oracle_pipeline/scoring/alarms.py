@@ -5,6 +5,9 @@ their scores over the usual score, and divides by the largest such sum in normal
 window beyond all normal ones raises an alarm at once, and many slightly unusual windows raise one
 slowly. A minute after the last unusual window, the statistic is low again.
 
+An alarm begins a silence. Only news ends it early: a window that is much farther out by itself, or
+is unusual in another family of features. The promised rate is that of silences.
+
 The threshold comes from normal recordings, each scored by a model that did not see its block. It is
 the lowest at which a new block of the same kind keeps the promised rate on average (conformal risk
 control [2]_). The recordings of a block are processed in sequence, like those of one day. Blocks
@@ -19,7 +22,7 @@ References
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
@@ -31,7 +34,8 @@ from oracle_pipeline.windows import HOP_S, WINDOW_S
 
 MEMORY = round(60.0 / HOP_S)  # length of the scan in windows: one minute
 USUAL = 0.95  # share of normal windows whose scores add nothing to the statistic
-REPEAT_S = 600.0  # shortest time between two alarms [s]
+REPEAT_S = 600.0  # silence after an alarm, unless there is news [s]
+MUCH_HIGHER = 2.0  # factor at which the excess of a window is news during a silence
 _MIN_REACH = 1e-9  # avoids division by zero where normal windows never exceed the allowance
 _ROUNDING = 1e-9  # tolerance for sums of weights
 RATE_PER_H = 0.5  # promised false alarms per hour, by default
@@ -112,10 +116,14 @@ class AlarmWatch:
     def __init__(self, rule: AlarmRule) -> None:
         self.rule = rule
         self._statistic = Statistic(rule)
-        self._silent_until_s = -math.inf
+        self._silent_until_s = self._raised_s = -math.inf
+        self._highest = 0.0  # excess of a single window since the silence began
+        self._told: set[str] = set()  # families of this silence
 
-    def feed(self, end_s: float, score: float) -> Alarm | None:
+    def feed(self, end_s: float, score: float, families: Sequence[str] = ()) -> Alarm | None:
         """Process the next window; windows must be fed in the order of their ends.
+
+        News in a window that overlaps the one with the last alarm belongs to that alarm.
 
         Parameters
         ----------
@@ -123,12 +131,29 @@ class AlarmWatch:
             End of the window [s of the recording].
         score : float
             From `CrossConformalScorer.window_scores`.
+        families : sequence of str
+            Families that are unusual in this window, the farthest first, from
+            `CrossConformalScorer.window_families`; without them only its score can be news.
         """
         statistic = self._statistic.feed(score)
-        if statistic <= self.rule.threshold or end_s < self._silent_until_s:
+        excess = (score - self.rule.allowance) / self.rule.reach[0]
+        is_silent = end_s < self._silent_until_s
+        if statistic <= self.rule.threshold or (is_silent and not self._is_news(excess, families)):
             return None
-        self._silent_until_s = end_s + REPEAT_S
+        if not is_silent:
+            self._silent_until_s, self._highest, self._told = end_s + REPEAT_S, 0.0, set()
+        self._highest = max(self._highest, excess)
+        self._told.update(families)
+        if is_silent and end_s - self._raised_s < WINDOW_S:
+            return None
+        self._raised_s = end_s
         return Alarm(end_s, statistic, self.rule.threshold)
+
+    def _is_news(self, excess: float, families: Sequence[str]) -> bool:
+        """Return whether a window alone would raise an alarm, and is not what was told."""
+        known = max(self._highest, self.rule.threshold)
+        is_other = bool(families) and families[0] not in self._told
+        return excess > (self.rule.threshold if is_other else MUCH_HIGHER * known)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -205,6 +205,11 @@ class CrossConformalScorer:
         of_folds = np.stack([scorer.alarm_scores(known) for scorer in self.scorers_])
         return self.own_score(of_folds, block)
 
+    def window_families(self, windows: pd.DataFrame) -> list[list[str]]:
+        """Return the unusual families of each window, the farthest first, as `AlarmWatch` needs."""
+        known = windows.reindex(columns=list(self.design.window_features))
+        return self.scorers_[0].unusual_families(known)
+
     @property
     def smallest_p(self) -> float:
         """The smallest p-value that a new run can get."""

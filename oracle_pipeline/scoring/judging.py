@@ -278,7 +278,9 @@ def _alarms(
     )
     scores = scorer.window_scores(measured.windows, known)
     ends_s = measured.start_s + WINDOW_S
-    raised = (watch.feed(*each) for each in zip(ends_s.tolist(), scores.tolist(), strict=True))
+    families = scorer.window_families(measured.windows)
+    fed = zip(ends_s.tolist(), scores.tolist(), families, strict=True)
+    raised = (watch.feed(*each) for each in fed)
     return tuple(alarm for alarm in raised if alarm is not None), rule.per_hour
 
 

@@ -164,6 +164,20 @@ class RunScorer:
         highest = -np.sort(-distances, axis=1)[:, :TOP_FEATURES]
         return np.asarray(highest.mean(axis=1), dtype=np.float64)
 
+    def unusual_families(self, windows: pd.DataFrame) -> list[list[str]]:
+        """Return the families beyond what normal windows reach, for each row, the farthest first.
+
+        A window whose score is above 1 has at least one.
+        """
+        scaler = self.models_["windows"][0]
+        names = np.array([c.split(".", 1)[0] for c in (*scaler.kept_, *scaler.indicated_)])
+        of_rows = self._distances(windows) / self.reach_
+        order = np.argsort(-of_rows, axis=1, kind="stable")
+        return [
+            list(dict.fromkeys(names[own[row[own] > 1.0]].tolist()))
+            for row, own in zip(of_rows, order, strict=True)
+        ]
+
     def _fitted(self, level: str, table: pd.DataFrame) -> Pipeline:
         """Return the scaler and the detector of a level, fitted on a table with its columns."""
         if level in OF_FEATURES:

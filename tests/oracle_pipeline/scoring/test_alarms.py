@@ -88,6 +88,21 @@ def test_after_an_alarm_there_is_none_for_ten_minutes():
     np.testing.assert_allclose(np.diff(raised), REPEAT_S)
 
 
+def test_only_a_much_higher_score_or_another_family_breaks_the_silence_of_an_alarm():
+    watch, quiet = AlarmWatch(RULE), ((0.5, ()),) * MEMORY
+    fed = (
+        (9.0, ("map", "scan")), (19.0, ("map",)), *quiet, (9.0, ("scan",)), (20.0, ("map",)),
+        (40.0, ("map",)), *quiet, (9.0, ("transforms", "map")), (9.0, ("noise",)), *quiet,
+        (9.0, ("transforms",)), (3.5, ("costmap",)), (9.0, ("noise",)),
+    )  # fmt: skip
+    raised = [
+        number
+        for number, (score, families) in enumerate(fed)
+        if watch.feed(10.0 + HOP_S * number, score, families)
+    ]
+    assert raised == [0, MEMORY + 4, 2 * MEMORY + 5]
+
+
 @pytest.mark.parametrize("runs_of_block", [1, 4])
 def test_a_new_block_raises_at_most_the_promised_alarms_per_hour(runs_of_block):
     rng, per_hour = np.random.default_rng(0), 1.0
