@@ -153,18 +153,10 @@ def features(
         return
     from oracle_pipeline import features as feature_extraction
     from oracle_pipeline.datasets import write_table
-    from oracle_pipeline.opened_run import open_run
-    from oracle_pipeline.robots.robot import find_robots
 
     manager = feature_extraction.build_manager(plugins)
     choices = _choices(Path(roles) if roles else None)
-    with open_run(run_or_bag, strict=strict) as run:
-        tables = feature_extraction.together(
-            [
-                feature_extraction.measure(run, manager, robot)
-                for robot in find_robots(run.bag, choices)
-            ]
-        )
+    tables = feature_extraction.compute(run_or_bag, manager, strict=strict, choices=choices)
     wanted = tables.run if table == "run" else tables.windows
     if output is not None and file_format == "parquet":
         write_table(wanted.frame(), output)
@@ -299,11 +291,9 @@ def score(
     from oracle_pipeline.datasets import replacing
     from oracle_pipeline.features import build_manager
     from oracle_pipeline.scoring import judging, output
-    from oracle_pipeline.scoring.card import ReferenceCard, is_card
     from oracle_pipeline.scoring.isolation import Limits
     from oracle_pipeline.scoring.junit import as_junit
-    from oracle_pipeline.scoring.learning import Cards
-    from oracle_pipeline.scoring.reference import read_reference
+    from oracle_pipeline.scoring.learning import card_source
     from oracle_pipeline.scoring.verdict import Verdict
 
     started = time.perf_counter()
@@ -315,11 +305,7 @@ def score(
 
     try:
         manager, choices = build_manager(plugins), _choices(roles)
-        normal = (
-            ReferenceCard.load(reference)
-            if is_card(reference)
-            else Cards(read_reference([reference], manager, choices))
-        )
+        normal = card_source(reference, manager, choices)
     except (OracleError, OSError) as error:
         write_junit([Verdict(str(path), "error", error=str(error)) for path in recordings])
         raise

@@ -59,3 +59,13 @@ def test_an_import_that_fails_for_another_reason_is_left_as_it_is(tmp_path):
 def test_the_programs_work_where_nothing_clashes(tmp_path):
     for name in ("oracle_sim", "oracle_ui"):
         assert python(PROGRAM.format(name), tmp_path).returncode == 0
+
+
+def test_importing_the_package_imports_no_library_until_a_name_is_used():
+    code = (
+        "import sys, oracle_pipeline\n"
+        "assert not {'numpy', 'pandas', 'oracle_pipeline.features'} & sys.modules.keys()\n"
+        "assert oracle_pipeline.features.compute\n"
+        "assert not hasattr(oracle_pipeline, 'no_such_name')\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

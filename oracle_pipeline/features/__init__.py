@@ -23,7 +23,7 @@ from oracle_pipeline.features.engine.tables import (
     families,
     together,
 )
-from oracle_pipeline.features.extraction import extract, measure, write
+from oracle_pipeline.features.extraction import compute, extract, measure, write
 from oracle_pipeline.features.manager import FeatureManager, build_manager
 
 __all__ = [
@@ -42,6 +42,7 @@ __all__ = [
     "Table",
     "Window",
     "build_manager",
+    "compute",
     "extract",
     "families",
     "hookimpl",

@@ -34,12 +34,17 @@ from oracle_pipeline.features.engine.plugin import (
 )
 from oracle_pipeline.features.engine.shared import system_of
 from oracle_pipeline.features.engine.spans import Span
-from oracle_pipeline.features.engine.tables import FeatureTables, RecordingFeatures, Table
-from oracle_pipeline.features.manager import FeatureManager
+from oracle_pipeline.features.engine.tables import (
+    FeatureTables,
+    RecordingFeatures,
+    Table,
+    together,
+)
+from oracle_pipeline.features.manager import FeatureManager, build_manager
 from oracle_pipeline.features.signals.collector import SignalCollector
 from oracle_pipeline.features.signals.statistics import SignalTable
 from oracle_pipeline.graphs.intervals import compose, known_in
-from oracle_pipeline.opened_run import OpenedRun
+from oracle_pipeline.opened_run import OpenedRun, open_run
 from oracle_pipeline.robots.robot import Robot, find_robots, of_robot
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.windows import windows_ns
@@ -85,6 +90,32 @@ class _Row:
         for column in self.values:
             if column in features and features[column].timing:
                 self.put(column, DISTURBED)
+
+
+def compute(
+    recording: str | Path,
+    manager: FeatureManager | None = None,
+    *,
+    strict: bool = False,
+    choices: RoleChoices | None = None,
+) -> RecordingFeatures:
+    """Compute all features of all robots of a recording.
+
+    Parameters
+    ----------
+    recording : path
+        As for `open_run`.
+    manager : FeatureManager, optional
+        By default the built-in and installed plugins.
+    strict : bool
+        Whether an incomplete recording is an error.
+    choices : RoleChoices, optional
+        Content of a roles file.
+    """
+    manager = manager or build_manager()
+    with open_run(Path(recording), strict=strict) as run:
+        robots = find_robots(run.bag, choices)
+        return together([measure(run, manager, robot) for robot in robots])
 
 
 def extract(

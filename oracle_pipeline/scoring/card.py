@@ -85,7 +85,7 @@ class ReferenceCard:
     roles: RoleChoices | None = None
     breaching: int | None = None
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write the card atomically."""
         scorers = {_HEADLINE: self.scorer, **self.aspects}
         members = {
@@ -103,12 +103,12 @@ class ReferenceCard:
             "breaching": self.breaching,
         }
         members = {_FACTS: json.dumps(facts, indent=1, allow_nan=False).encode(), **members}
-        with replacing(path) as sink, zipfile.ZipFile(sink, "w") as archive:
+        with replacing(Path(path)) as sink, zipfile.ZipFile(sink, "w") as archive:
             for name, data in members.items():
                 archive.writestr(zipfile.ZipInfo(name, _EPOCH), data)
 
     @classmethod
-    def load(cls, path: Path) -> "ReferenceCard":
+    def load(cls, path: str | Path) -> "ReferenceCard":
         """Read a card.
 
         Raises
@@ -117,7 +117,7 @@ class ReferenceCard:
             The file is missing, damaged, or from another release.
         """
         try:
-            return _card(*_read(path))
+            return _card(*_read(Path(path)))
         except FileNotFoundError as error:
             raise CardError(
                 f"There is no reference card {path}; create one with `oracle learn`."

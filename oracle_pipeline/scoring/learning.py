@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -16,14 +17,15 @@ from oracle_pipeline.datasets import (
     signal_columns,
 )
 from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel
+from oracle_pipeline.features import FeatureManager
 from oracle_pipeline.robots.roles_file import RoleChoices
-from oracle_pipeline.scoring.card import ReferenceCard
+from oracle_pipeline.scoring.card import ReferenceCard, is_card
 from oracle_pipeline.scoring.comparable import same_kind, shared_features
 from oracle_pipeline.scoring.contract import Contract, Observation
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.feature_sets import ASPECTS, feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.scoring.reference import Reference
+from oracle_pipeline.scoring.reference import Reference, read_reference
 from oracle_pipeline.scoring.run_scorer import (
     OF_FEATURES,
     OF_SIGNALS,
@@ -150,6 +152,21 @@ def common_signals(table: pd.DataFrame) -> tuple[str, ...]:
     columns = signal_columns(table)
     given = np.isfinite(table[columns].to_numpy(dtype=np.float64)).mean(axis=0)
     return tuple(c for c, share in zip(columns, given, strict=True) if share >= COMMON_SIGNAL)
+
+
+def card_source(
+    path: Path, manager: FeatureManager, choices: RoleChoices | None = None
+) -> "ReferenceCard | Cards":
+    """Return a card from its file, or cards that are learned from normal runs at a path.
+
+    Raises
+    ------
+    OracleError
+        There is neither.
+    """
+    if is_card(path):
+        return ReferenceCard.load(path)
+    return Cards(read_reference([path], manager, choices))
 
 
 class Cards:

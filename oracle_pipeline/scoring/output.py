@@ -50,10 +50,11 @@ HEADINGS = ("feature", "value", "usual (5-95 %)", "z", "window", "where")
 
 def exit_code(verdicts: Sequence[Verdict]) -> int:
     """Return 0 if all are normal, 1 if one is anomalous or a breach, 2 if one has no verdict."""
-    return EXIT_CODES[_worst(verdicts)]
+    return EXIT_CODES[worst(verdicts)]
 
 
-def _worst(verdicts: Sequence[Verdict]) -> Judgement:
+def worst(verdicts: Sequence[Verdict]) -> Judgement:
+    """Return the worst outcome."""
     return max((verdict.outcome for verdict in verdicts), key=list(EXIT_CODES).index)
 
 
@@ -73,7 +74,7 @@ def tally(verdicts: Sequence[Verdict]) -> str:
 def as_json(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> str:
     """Return one JSON object: the worst outcome, and each verdict with its basis."""
     document = {
-        "outcome": _worst(verdicts),
+        "outcome": worst(verdicts),
         "false_alarm_rate": far,
         "notes": list(notes),
         "recordings": [

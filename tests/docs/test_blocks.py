@@ -7,6 +7,7 @@ Dagster's commands: tests/test_commands.py runs those that the first tutorial sh
 """
 
 import contextlib
+import json
 import runpy
 import shutil
 import tomllib
@@ -24,7 +25,7 @@ from sim.campaigns import Options
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.execution import execute
 from sim.fuzzing.scenario import parse_scenarios
-from tests.docs.pages import DOCS, LANGUAGES, PAGES, blocks, name
+from tests.docs.pages import DOCS, LANGUAGES, PAGES, REPOSITORY, blocks, name
 from tests.docs.shell import NOT_RUN, Shell
 from tests.oracle_pipeline.datasets import synthetic
 from tests.recorded_runs import ONE_GOAL, copied, linked
@@ -123,6 +124,18 @@ def test_the_blocks_of_a_page_run_one_after_the_other(page, folder, lab, monkeyp
             (folder / block.file).parent.mkdir(parents=True, exist_ok=True)
             (folder / block.file).write_text(block.text, "utf-8")
         check(block, shell)
+
+
+def test_the_notebook_runs_from_top_to_bottom(reader, tmp_path, monkeypatch, capsys):
+    shutil.copytree(reader, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    notebook = json.loads((REPOSITORY / "examples/verdicts.ipynb").read_text("utf-8"))
+    code = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    (tmp_path / "notebook.py").write_text("\n\n".join(code), "utf-8")
+    names = runpy.run_path("notebook.py")
+    assert names["verdicts"].outcome == names["verdicts"][0].outcome == "normal"
+    assert "1 normal" in capsys.readouterr().out
+    assert names["comparison"].outcome == "same"
 
 
 def check(block, shell):

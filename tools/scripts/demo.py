@@ -9,15 +9,8 @@ import sys
 import webbrowser
 from pathlib import Path
 
+from oracle_pipeline import score
 from oracle_pipeline.bags.run_directory import RunDirectory
-from oracle_pipeline.features import build_manager
-from oracle_pipeline.replay.picture import picture
-from oracle_pipeline.reporting import verdict_page
-from oracle_pipeline.scoring import output
-from oracle_pipeline.scoring.card import ReferenceCard
-from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS
-from oracle_pipeline.scoring.judging import score
-from oracle_pipeline.scoring.verdict import Verdict
 from sim.campaigns import Campaign
 from sim.commands.batch import home
 from sim.experiments import recipe_for, record_run
@@ -27,7 +20,6 @@ CARD = PROJECT / "examples" / "demo" / "normal.card"
 NORMAL, ATTACKED = "lidar_passthrough_odom", "fake_object"
 BLOCK = 900  # the card is learned from the first blocks
 GOALS = 1
-FAR = 0.05
 STALE = (
     f"The shipped card {CARD.relative_to(PROJECT)} no longer fits the code: the {NORMAL} run "
     f"should be normal, the {ATTACKED} run anomalous. Learn it again with `make demo-card`."
@@ -39,10 +31,10 @@ def main() -> int:
     place = home() / "demo"
     runs = [recorded(mode, place) for mode in (NORMAL, ATTACKED)]
     print(f"Comparing them with the normal runs of {CARD.relative_to(PROJECT)} ...", flush=True)
-    verdicts, page = judged(runs, place / "index.html")
-    print(output.as_text(verdicts, FAR, ()))
-    print(f"Page: {page.as_uri()}")
-    if not as_expected(verdicts):
+    verdicts, page = score(runs, CARD), (place / "index.html").resolve()
+    verdicts.write_page(page)
+    print(f"{verdicts}\nPage: {page.as_uri()}")
+    if [verdict.outcome for verdict in verdicts] != ["normal", "anomalous"]:
         print(STALE, file=sys.stderr)
         return 1
     if sys.stdout.isatty() and (os.environ.get("DISPLAY") or sys.platform == "darwin"):
@@ -57,19 +49,6 @@ def recorded(mode: str, place: Path) -> Path:
     recipe = recipe_for(mode, BLOCK, Campaign(goals_per_run=GOALS))
     record_run(recipe, directory, refresh=True)
     return directory.path
-
-
-def judged(runs: list[Path], page: Path) -> tuple[list[Verdict], Path]:
-    """Judge runs by the shipped card, and write the page about them."""
-    card, manager = ReferenceCard.load(CARD), build_manager()
-    verdicts = score(runs, card, manager, FAR)
-    verdict_page.write(page, verdicts, FAR, card.notes, manager, DEFAULT_LIMITS, picture)
-    return verdicts, page.resolve()
-
-
-def as_expected(verdicts: list[Verdict]) -> bool:
-    """Return whether the card distinguishes the two runs."""
-    return [verdict.outcome for verdict in verdicts] == ["normal", "anomalous"]
 
 
 if __name__ == "__main__":
