@@ -146,6 +146,20 @@ def window_dataset(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
     return _joined(tables, (*KEYS, WINDOW_START), "window", ["run_id", WINDOW_START])
 
 
+def check_runs(table: pd.DataFrame) -> None:
+    """Raise an error unless a table has one row with all keys and features for each run.
+
+    Raises
+    ------
+    DatasetError
+        A key or a column is missing, repeated or of another type, or a label is unknown.
+    """
+    if not table.columns.is_unique or table["run_id"].duplicated().any():
+        raise DatasetError("A table of runs has a column or a run twice; extract it again.")
+    _check_keys(table, KEYS)
+    _check_columns(table, [])
+
+
 def _joined(
     tables: Iterable[pd.DataFrame], keys: tuple[str, ...], kind: str, order: list[str]
 ) -> pd.DataFrame:
@@ -206,7 +220,7 @@ def _check_columns(table: pd.DataFrame, columns: list[str]) -> None:
             f"{_runs(table)} lacks the features {', '.join(unexplained)}, which other runs have; "
             "extract all runs with the same plugins."
         )
-    for column in feature_columns(table):
+    for column in (*feature_columns(table), *signal_columns(table)):
         if not pd.api.types.is_float_dtype(table[column]):
             raise DatasetError(
                 f"Feature {column!r} of {_runs(table)} is {table[column].dtype}, not float64; "

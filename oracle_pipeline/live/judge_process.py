@@ -101,7 +101,7 @@ class JudgeProcess:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
-            target=_work, args=(theirs, card, alarms_per_h, plugins), name="judge", daemon=True
+            target=_work, args=(theirs, known, alarms_per_h, plugins), name="judge", daemon=True
         )
         with _without_interrupts():
             self._process.start()
@@ -206,13 +206,14 @@ def _without_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _work(pipe: Connection, card: Path, alarms_per_h: float | None, plugins: Path | None) -> None:
+def _work(
+    pipe: Connection, reference: ReferenceCard, alarms_per_h: float | None, plugins: Path | None
+) -> None:
     """Judge windows in the other process, until the end is requested."""
     # A thread empties the pipe while a window is judged, so that the watch need not wait.
     inbox = _Inbox(pipe)
     try:
         manager = build_manager(plugins)
-        reference = ReferenceCard.load(card)
         scorer = WindowScorer(reference, alarms_per_h)
         recent = RecentMessages()
         carried: Carried = {}

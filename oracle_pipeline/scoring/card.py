@@ -3,16 +3,18 @@
 A card is a ZIP of JSON and Parquet: ``card.json`` describes the content, ``runs.parquet`` has the
 features of the normal recordings, ``models.parquet`` the fitted scorers, ``windows.parquet`` the
 scores of the normal windows. Reading a card executes nothing in it, and the checksums of the ZIP
-reveal damage.
+reveal damage. A card is read in a process with limits on time and memory, and all its parts are
+checked there, since it may come from anybody.
 """
 
 import io
 import json
+import textwrap
 import zipfile
-import zlib
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -24,13 +26,16 @@ from numpy.typing import NDArray
 from sklearn.pipeline import Pipeline
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.json_schema import faults
 from oracle_pipeline.clustering.scaling import FlooredRobustScaler
-from oracle_pipeline.datasets import parse_table, replacing, table_bytes
+from oracle_pipeline.datasets import check_runs, is_malicious, parse_table, replacing, table_bytes
 from oracle_pipeline.detectors import LargestGroup, Mahalanobis, SignalScaler
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.alarms import NormalWindows
+from oracle_pipeline.scoring.card_check import check_scorer
 from oracle_pipeline.scoring.contract import Contract
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
+from oracle_pipeline.scoring.isolation import Limits, run_isolated
 from oracle_pipeline.scoring.run_scorer import Design, RunScorer
 
 VERSION = 5  # of the card format and of the windowing it was learned with
@@ -46,10 +51,29 @@ _OF_WINDOWS = pa.schema(
         ("start_s", pa.list_(pa.float64())),
     ]
 )
-_OF_DETECTORS = ("precision", "constant", "groups", "components", "variances", "noise", "typical")
+_OF_DETECTORS = {
+    "precision": pa.list_(pa.float32()),
+    "constant": pa.list_(pa.bool_()),
+    "groups": pa.list_(pa.string()),
+    "components": pa.list_(pa.float32()),
+    "variances": pa.list_(pa.list_(pa.float64())),
+    "noise": pa.list_(pa.float64()),
+    "typical": pa.list_(pa.float64()),
+}
+_OF_MODELS = pa.schema(
+    {
+        "scorer": pa.string(),
+        "fold": pa.int64(),
+        "level": pa.string(),
+        **_OF_DETECTORS,
+        **dict.fromkeys(("kept", "indicated"), pa.list_(pa.string())),
+        **dict.fromkeys(("center", "scale", "location", "reach"), pa.list_(pa.float64())),
+    }
+)
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # fixed, so that the same card gives the same bytes
-_DAMAGE = (zipfile.BadZipFile, zlib.error, RuntimeError)  # raised for a damaged ZIP
-_LARGEST = 1 << 30  # bytes of one member; a card of 840 runs has 40 MB
+_LARGEST_FACTS, _LARGEST = 1 << 24, 1 << 28  # bytes; a card of 840 runs has 40 MB
+_MOST_VALUES = 32_000_000  # of a table; one of a card of 840 runs has 5 million
+_LIMITS = Limits(120.0, 2.0, "it is broken or hostile; create it again with `oracle learn`")
 
 
 class CardError(OracleError):
@@ -90,7 +114,7 @@ class ReferenceCard:
         scorers = {_HEADLINE: self.scorer, **self.aspects}
         members = {
             _RUNS: table_bytes(self.runs),
-            _MODELS: _parquet(_models(scorers)),
+            _MODELS: _parquet(_models(scorers), _OF_MODELS),
             _WINDOWS: _parquet(_windows(scorers), _OF_WINDOWS),
         }
         facts = {
@@ -109,24 +133,20 @@ class ReferenceCard:
 
     @classmethod
     def load(cls, path: str | Path) -> "ReferenceCard":
-        """Read a card.
+        """Read a card in another process, and check it.
 
         Raises
         ------
         CardError
-            The file is missing, damaged, or from another release.
+            The file is missing, damaged, or from another release, its parts do not fit, or reading
+            it takes too much time or memory.
         """
+        if not Path(path).is_file():
+            raise CardError(f"There is no reference card {path}; create one with `oracle learn`.")
         try:
-            return _card(*_read(Path(path)))
-        except FileNotFoundError as error:
-            raise CardError(
-                f"There is no reference card {path}; create one with `oracle learn`."
-            ) from error
-        except (*_DAMAGE, KeyError, TypeError, ValueError, OSError) as error:
-            raise CardError(
-                f"{path} is not a reference card, or is damaged ({error}); create it again with "
-                "`oracle learn`."
-            ) from error
+            return run_isolated(checked_card, Path(path), _LIMITS)
+        except OracleError as error:
+            raise CardError(str(error)) from error
 
     def card_for(self, _row: pd.DataFrame) -> "ReferenceCard":
         """Return this card: it covers one kind of system only."""
@@ -136,6 +156,30 @@ class ReferenceCard:
 def is_card(path: Path) -> bool:
     """Return whether the suffix of a path is that of a reference card."""
     return path.suffix == SUFFIX
+
+
+def checked_card(path: Path) -> ReferenceCard:
+    """Return the card in a file, read and checked in this process; errors as `load`."""
+    try:
+        card = _card(*_read(path))
+        check_runs(card.runs)
+        if is_malicious(card.runs).any():
+            raise ValueError("it has an attacked recording")
+        for name, scorer in {_HEADLINE: card.scorer, **card.aspects}.items():
+            try:
+                check_scorer(scorer, card.runs)
+            except ValueError as error:
+                raise ValueError(f"scorer {name}: {error}") from error
+    except (CardError, MemoryError):
+        raise
+    except Exception as error:  # whatever goes wrong, the file is at fault
+        fault = f"{type(error).__name__} {error}" if isinstance(error, KeyError) else str(error)
+        raise CardError(
+            f"{path} is not a reference card, or is damaged: "
+            f"{textwrap.shorten(fault or type(error).__name__, 300)}. Create it again with "
+            "`oracle learn`."
+        ) from error
+    return card
 
 
 def _card(
@@ -162,21 +206,38 @@ def _read(
     path: Path,
 ) -> tuple[dict[str, Any], pd.DataFrame, _OfScorers, _OfScorers]:
     with path.open("rb") as source, zipfile.ZipFile(source) as archive:
-        facts = json.loads(_member(archive, _FACTS))
+        facts = json.loads(_member(archive, _FACTS, _LARGEST_FACTS))
         if facts["version"] != VERSION:
             raise CardError(
                 f"{path} is a card of version {facts['version']}, but this release reads version "
                 f"{VERSION}; create it again with `oracle learn`."
             )
-        runs = parse_table(_member(archive, _RUNS), f"{path}/{_RUNS}")
-        models, windows = (_rows(_member(archive, name)) for name in (_MODELS, _WINDOWS))
-    return facts, runs, models, windows
+        schema = json.loads(files(__package__).joinpath("card.schema.json").read_text("utf-8"))
+        if found := faults(facts, schema):
+            raise ValueError(f"{_FACTS}, {found[0].json_path}: {found[0].message}")
+        runs, models, windows = (_table(archive, name) for name in (_RUNS, _MODELS, _WINDOWS))
+    table = parse_table(runs, f"{path}/{_RUNS}")
+    return facts, table, _rows(models, _OF_MODELS), _rows(windows, _OF_WINDOWS)
 
 
-def _member(archive: zipfile.ZipFile, name: str) -> bytes:
-    if archive.getinfo(name).file_size > _LARGEST:
-        raise ValueError(f"{name} claims {archive.getinfo(name).file_size} bytes")
-    return archive.read(name)
+def _member(archive: zipfile.ZipFile, name: str, largest: int) -> bytes:
+    """Return the content of a member; what it claims to be is checked before it is unpacked."""
+    member = archive.getinfo(name)
+    if member.compress_type != zipfile.ZIP_STORED or member.file_size > largest:
+        raise ValueError(f"{name} is compressed, or has more than {largest} bytes")
+    return archive.read(member)
+
+
+def _table(archive: zipfile.ZipFile, name: str) -> bytes:
+    """Return a Parquet file; what it claims to hold is checked before it is decoded."""
+    content = _member(archive, name, _LARGEST)
+    claimed = pq.read_metadata(pa.BufferReader(content))
+    groups = [claimed.row_group(number) for number in range(claimed.num_row_groups)]
+    values = sum(group.column(j).num_values for group in groups for j in range(group.num_columns))
+    size = sum(group.total_byte_size for group in groups)
+    if max(values, claimed.num_rows) > _MOST_VALUES or size > _LARGEST:
+        raise ValueError(f"{name} claims {values} values in {size} bytes, more than any card has")
+    return content
 
 
 def _parquet(rows: list[dict[str, Any]], schema: pa.Schema | None = None) -> bytes:
@@ -187,12 +248,22 @@ def _parquet(rows: list[dict[str, Any]], schema: pa.Schema | None = None) -> byt
     return sink.getvalue()
 
 
-def _rows(content: bytes) -> _OfScorers:
+def _rows(content: bytes, schema: pa.Schema) -> _OfScorers:
     """Return the rows of a Parquet table, grouped by scorer."""
     rows: _OfScorers = defaultdict(list)
-    for row in pq.read_table(io.BytesIO(content)).to_pylist():
-        rows[row.pop("scorer")].append(row)
+    table = pq.read_table(pa.BufferReader(content)).select(schema.names).cast(schema)
+    columns = [[_value(each) for each in column] for column in table.columns]
+    for row in zip(*columns, strict=True):
+        named = dict(zip(schema.names, row, strict=True))
+        rows[named.pop("scorer")].append(named)
     return rows
+
+
+def _value(scalar: pa.Scalar) -> Any:
+    """Return a value of a table; numbers of a list as an array."""
+    if pa.types.is_list(scalar.type) and pa.types.is_floating(scalar.type.value_type):
+        return None if scalar.values is None else scalar.values.to_numpy(zero_copy_only=False)
+    return scalar.as_py()
 
 
 def _described(scorer: CrossConformalScorer) -> dict[str, Any]:
@@ -278,6 +349,8 @@ def _restored(state: Mapping[str, Any], floors: Mapping[str, float]) -> Pipeline
 def _restored_matrix(state: Mapping[str, Any]) -> Mahalanobis:
     detector = Mahalanobis()
     n_features = len(state["location"])
+    if len(state["precision"]) != n_features * (n_features + 1) // 2:
+        raise ValueError("precision does not fit location")
     upper = np.zeros((n_features, n_features))
     upper[np.triu_indices(n_features)] = state["precision"]
     detector.precision_ = upper + np.triu(upper, 1).T

@@ -1,4 +1,4 @@
-"""Runs the work on one recording in a separate process, with limits on time and memory.
+"""Runs the work on one recording or card in a separate process, with limits on time and memory.
 
 If a recording crashes its process, the other recordings of a suite still get their verdicts.
 Processes are forked from a server that has all modules imported.
@@ -33,10 +33,15 @@ _GIB = 2**30
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits for the work on one recording."""
+    """Limits for the work on one file."""
 
     seconds: float = 900.0
     gibibytes: float = 4.0  # of memory
+    remedy: str = ""  # for a file that exceeds them; by default that for a recording
+
+    def advice(self, option: str) -> str:
+        """Return what to do about a file that exceeds a limit."""
+        return self.remedy or f"raise it ({option}), or split the recording"
 
 
 DEFAULT_LIMITS = Limits()
@@ -132,8 +137,9 @@ def run_isolated(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT
     OracleError
         If the function raised anything, or the process died or exceeded the limits.
     """
-    receiver, sender = _context().Pipe(duplex=False)
-    process = _context().Process(target=_work, args=(sender, work, path, limits), daemon=True)
+    context = _context(getattr(work, "func", work).__module__)
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_work, args=(sender, work, path, limits), daemon=True)
     process.start()
     sender.close()  # so that the pipe closes when the process ends
     try:
@@ -150,8 +156,8 @@ def run_isolated(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT
 def _received(receiver: Connection, process: BaseProcess, path: Path, limits: Limits) -> Any:
     if not receiver.poll(limits.seconds):
         raise BagError(
-            f"{path} took longer than the limit of {limits.seconds:g} s; raise it (--time-limit), "
-            "or split the recording."
+            f"{path} took longer than the limit of {limits.seconds:g} s; "
+            f"{limits.advice('--time-limit')}."
         )
     try:
         return receiver.recv()
@@ -159,7 +165,7 @@ def _received(receiver: Connection, process: BaseProcess, path: Path, limits: Li
         process.join()
         raise BagError(
             f"The process that read {path} died ({_exit_reason(process.exitcode)}); perhaps it ran "
-            "out of memory. Please report the recording."
+            "out of memory. Please report the file."
         ) from None
 
 
@@ -173,8 +179,8 @@ def _work(sender: Connection, work: Callable[[Path], object], path: Path, limits
         answer = work(path)
     except MemoryError:
         answer = BagError(
-            f"{path} needs more memory than the limit of {limits.gibibytes:g} GiB; raise it "
-            "(--memory-limit), or split the recording."
+            f"{path} needs more memory than the limit of {limits.gibibytes:g} GiB; "
+            f"{limits.advice('--memory-limit')}."
         )
     except (OracleError, OSError) as error:
         answer = BagError(str(error))
@@ -185,9 +191,10 @@ def _work(sender: Connection, work: Callable[[Path], object], path: Path, limits
 
 
 @cache
-def _context() -> ForkServerContext:
+def _context(module: str) -> ForkServerContext:
+    """Return the context; its server, if it does not run yet, imports what the module needs."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([__name__, "oracle_pipeline.features.warm_start"])
+    context.set_forkserver_preload([module, "oracle_pipeline.features.warm_start"])
     return context
 
 
