@@ -271,7 +271,7 @@ def score(
     """Judge recordings by comparison with normal ones.
 
     Exit code 0: all are normal; 1: at least one is anomalous or breaks the contract of the
-    reference; 2: at least one could not be judged.
+    reference; 2: at least one could not be judged, or is of another kind of system.
 
     RUN_OR_BAG is as for `oracle features`; each recording is judged by itself, and each robot of a
     recording gets a verdict, such as bag#robot1. The p-value is the share of normal runs

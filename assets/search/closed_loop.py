@@ -159,7 +159,7 @@ class ClosedLoop:
         return RunDirectory(self.controls, CONTROL, proposal.block)
 
     def _judge(self, directory: RunDirectory) -> "_JudgedRecording":
-        ours = _extracted(directory)
+        ours = _extracted(directory, self.card)
         verdict = judge(directory.key, ours.tables, _card(self.card), self.far, ours.observation)
         return _JudgedRecording(ours.tables, verdict)
 
@@ -244,7 +244,7 @@ def _scaled(row: pd.DataFrame, ranges: UsualRanges) -> NDArray[np.float64]:
 
 @functools.cache
 def _scaled_control(control: RunDirectory, card: Path) -> NDArray[np.float64]:
-    return _scaled(_extracted(control).tables.run, _ranges(card))
+    return _scaled(_extracted(control, card).tables.run, _ranges(card))
 
 
 @functools.cache
@@ -254,8 +254,8 @@ def _ranges(card: Path) -> UsualRanges:
     return UsualRanges(known.runs, columns)
 
 
-def _extracted(directory: RunDirectory) -> Extracted:
-    (robot,) = extracted(directory.path, None, strict=False, choices=None, paced=False)
+def _extracted(directory: RunDirectory, card: Path) -> Extracted:
+    (robot,) = extracted(directory.path, known=_card(card).known)
     return robot
 
 

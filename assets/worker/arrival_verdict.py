@@ -60,7 +60,7 @@ def _judged(
 
     tables = None
     try:
-        robots = extract_isolated(arrival.path, build_manager(), limits)
+        robots = extract_isolated(arrival.path, build_manager(), limits, known=card.known)
         if len(robots) > 1:
             raise BagError(
                 f"{arrival.name} has {len(robots)} robots, but an arrival has one verdict. Judge "

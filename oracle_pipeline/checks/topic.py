@@ -70,7 +70,7 @@ class CheckedSignal(NamedTuple):
 
 def read_topics(robot: Robot) -> list[CheckedTopic]:
     """Read the topics of a robot's recording, in the order of their names."""
-    collector = SignalCollector(robot.bag)
+    collector = SignalCollector(robot)
     recording = KeptMessages.read(robot, (), see=collector.see)
     window = recording.span(Span(0, recording.duration_ns), NO_GRAPH)
     by_topic: dict[str, list[Signals]] = {}

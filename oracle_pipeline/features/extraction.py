@@ -165,7 +165,7 @@ def measure(
     robot = robot or only_robot(run)
     run = replace(run, bag=robot.bag)
     if recording is None or signals is None:
-        signals = SignalCollector(robot.bag)
+        signals = SignalCollector(robot)
         recording = KeptMessages.read(robot, manager.plugins, see=signals.see)
     whole = Span(0, recording.duration_ns)
     extraction = _Extraction(run, manager, recording, whole)
@@ -236,7 +236,7 @@ def extract_window(
     """
     robot = only_robot(run, choices)
     run = replace(run, bag=robot.bag)
-    signals = SignalCollector(robot.bag)
+    signals = SignalCollector(robot)
     recording = KeptMessages.read(robot, manager.plugins, carried, signals.see)
     extraction = _Extraction(run, manager, recording, Span(0, recording.duration_ns))
     span = Span(round(start_s * 1e9), recording.duration_ns)

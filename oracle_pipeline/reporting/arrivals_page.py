@@ -19,6 +19,7 @@ _IN_WORDS: dict[Judgement, str] = {
     "breach": "breaks the contract",
     "error": "could not be judged",
     "unsupported": "without a verdict",
+    "another system": "of another system",
     "normal": "normal",
 }
 

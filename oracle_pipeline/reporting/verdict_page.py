@@ -18,6 +18,7 @@ from oracle_pipeline.scoring.output import (
     HEADINGS,
     MOST_BREACHES,
     beside,
+    breaches,
     cells,
     family_as_text,
     tally,
@@ -30,6 +31,7 @@ _HEADLINES: dict[Judgement, str] = {
     "breach": "Breach of the contract",
     "anomalous": "Anomalous",
     "unsupported": "No verdict",
+    "another system": "Another system",
     "error": "Could not be judged",
 }
 
@@ -86,22 +88,24 @@ def write(
 
 
 def _shown(verdict: Verdict, far: float, limits: Limits, draw: Callable[[Path], bytes]) -> _Shown:
-    breaches, more = verdict.contract[:MOST_BREACHES], verdict.contract[MOST_BREACHES:]
-    if more:
-        breaches = (*breaches, f"The remarks list {len(more)} more breaches of the contract.")
-    remarks, picture = [*map(family_as_text, verdict.families), *more, *verdict.notes], ""
+    more, picture = verdict.contract[MOST_BREACHES:], ""
+    remarks = [*map(family_as_text, verdict.families), *more, *verdict.notes]
     if verdict.outcome != "error":
         try:
             picture = png_uri(run_isolated(draw, Path(verdict.recording), limits))
         except OracleError as error:
             remarks.append(f"It is not drawn: {error}")
-    return _Shown(verdict, [*breaches, _sentence(verdict, far), *beside(verdict)], picture, remarks)
+    sentences = [
+        *verdict.cautions, *breaches(verdict, "the remarks list all"), _sentence(verdict, far),
+        *verdict.differences, *beside(verdict),
+    ]  # fmt: skip
+    return _Shown(verdict, sentences, picture, remarks)
 
 
 def _sentence(verdict: Verdict, far: float) -> str:
     """Return a sentence that explains the p-value."""
     if verdict.p_value is None or verdict.suite_p_value is None:
-        return verdict.error
+        return headline(verdict)
     farther = round(verdict.p_value * (verdict.normal_blocks + 1)) - 1
     alone, suite = (f"{p:.3g}" for p in (verdict.p_value, verdict.suite_p_value))
     adjusted = f", adjusted for the whole set to {suite}" if suite != alone else ""

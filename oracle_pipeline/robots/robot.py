@@ -5,11 +5,12 @@ robot, such as a shared ``/map`` or ``/tf``. So features do not depend on the na
 reference card that was learned on one robot can score another.
 """
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from oracle_pipeline.bags.reader import BagReader, Topic
 from oracle_pipeline.robots.first_messages import TRANSFORM_TYPES
+from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.roles import (
     COMMAND,
     JOINTS,
@@ -22,7 +23,8 @@ from oracle_pipeline.robots.roles import (
 )
 from oracle_pipeline.robots.roles_file import RoleChoices
 
-_SHARED_TYPES = (
+#: Types of topics that nearly every ROS system has.
+SHARED_TYPES = (
     *TRANSFORM_TYPES, "rosgraph_msgs/msg/Clock", "rcl_interfaces/msg/Log",
     "rcl_interfaces/msg/ParameterEvent",
 )  # fmt: skip
@@ -45,16 +47,32 @@ class Robot:
         Its topics and those that all robots share.
     roles : Roles
         Roles of these topics.
+    used : frozenset of str
+        Topics that features see.
+    instead : mapping of str to tuple of str
+        Topics that a reference does not know, and that may play a role whose topics are absent.
     """
 
     name: str
     namespace: str
     bag: BagReader
     roles: Roles
+    used: frozenset[str]
+    instead: Mapping[str, tuple[str, ...]]
 
 
-def find_robots(bag: BagReader, choices: RoleChoices | None = None) -> list[Robot]:
+def find_robots(
+    bag: BagReader, choices: RoleChoices | None = None, known: Known | None = None
+) -> list[Robot]:
     """Return the robots of a recording, by namespace; at least one.
+
+    Parameters
+    ----------
+    bag : BagReader
+    choices : RoleChoices, optional
+        From a roles file.
+    known : Known, optional
+        Topics of a reference; features see no others but those that a roles file names.
 
     Raises
     ------
@@ -74,8 +92,24 @@ def find_robots(bag: BagReader, choices: RoleChoices | None = None) -> list[Robo
         others = [other for other in spaces if other != space]
         seen = bag.renamed(_names(bag.topics, space, others))
         name = space.strip("/") if others else ""
-        robots.append(Robot(name, space, seen, find_roles(seen, choices.topics)))
+        robots.append(_robot(name, space, seen, choices.topics, known))
     return robots
+
+
+def _robot(
+    name: str,
+    space: str,
+    bag: BagReader,
+    chosen: Mapping[str, tuple[str, ...]],
+    known: Known | None,
+) -> Robot:
+    if known is None:
+        return Robot(name, space, bag, find_roles(bag, chosen), frozenset(bag.topics), {})
+    bag, chosen = known.renamed(bag, chosen)
+    roles = known.roles_in(bag, chosen)
+    named = [topic for role in chosen for topic in roles.found[role].topics]
+    used = known.topics.union(named).intersection(bag.topics)
+    return Robot(name, space, bag, roles, used, known.instead(bag, chosen))
 
 
 def of_robot(recording: str, name: str) -> str:
@@ -133,7 +167,7 @@ def _namespaces(bag: BagReader) -> list[str]:
     several sibling namespaces do, and no topic outside has the motion, each is a robot. If only one
     does, and there are no robot topics outside, it is the robot.
     """
-    own = [topic for topic in bag.topics.values() if topic.msgtype not in _SHARED_TYPES]
+    own = [topic for topic in bag.topics.values() if topic.msgtype not in SHARED_TYPES]
     spaces = _below("", own)
     if len(spaces) == 1 and len(_names(bag.topics, spaces[0], ())) < len(bag.topics):
         return [""]  # two topics would have the same name

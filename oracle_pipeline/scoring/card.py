@@ -30,6 +30,7 @@ from oracle_pipeline.bags.json_schema import faults
 from oracle_pipeline.clustering.scaling import FlooredRobustScaler
 from oracle_pipeline.datasets import check_runs, is_malicious, parse_table, replacing, table_bytes
 from oracle_pipeline.detectors import LargestGroup, Mahalanobis, SignalScaler
+from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.alarms import NormalWindows
 from oracle_pipeline.scoring.card_check import check_scorer
@@ -38,7 +39,7 @@ from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.isolation import Limits, run_isolated
 from oracle_pipeline.scoring.run_scorer import Design, RunScorer
 
-VERSION = 5  # of the card format and of the windowing it was learned with
+VERSION = 6  # of the card format and of the windowing it was learned with
 SUFFIX = ".card"
 _FACTS, _RUNS, _MODELS = "card.json", "runs.parquet", "models.parquet"
 _WINDOWS = "windows.parquet"
@@ -147,6 +148,11 @@ class ReferenceCard:
             return run_isolated(checked_card, Path(path), _LIMITS)
         except OracleError as error:
             raise CardError(str(error)) from error
+
+    @property
+    def known(self) -> Known | None:
+        """Topics of the recordings, and their roles; None without a contract."""
+        return None if self.contract is None else self.contract.known
 
     def card_for(self, _row: pd.DataFrame) -> "ReferenceCard":
         """Return this card: it covers one kind of system only."""

@@ -21,6 +21,7 @@ from oracle_pipeline.bags.merging import Messages
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.graphs.intervals import compose
 from oracle_pipeline.opened_run import OpenedRun
+from oracle_pipeline.robots.known import Known
 from oracle_pipeline.scoring.constants import Samples
 from oracle_pipeline.scoring.pace import FEWEST, SPAN_S, Pace, Stamped, merged_paces, paces
 from oracle_pipeline.scoring.relays import Fingerprints, Relays
@@ -85,6 +86,8 @@ class Observation:
         Topic -> source -> how many of the topic's messages are copies of the source's.
     whole : bool
         Whether no message was lost; if not, rates and copies prove nothing.
+    roles, instead : mapping of str to tuple of str
+        Role -> its topics; and, where the reference knows others, the topics that may play it.
     """
 
     topics: Mapping[str, tuple[str, tuple[str, ...], float | None]]
@@ -93,6 +96,8 @@ class Observation:
     constants: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     relays: Relays = field(default_factory=dict)
     whole: bool = True
+    roles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    instead: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 class Observer:
@@ -166,6 +171,8 @@ class Contract:
         recordings differ.
     relays : dict of str to dict
         Topic -> source -> lowest share of the topic's messages that are copies of the source's.
+    roles : dict of str to tuple of str
+        Role -> topics that play it in any recording.
     """
 
     topics: Mapping[str, TopicTerms]
@@ -174,6 +181,12 @@ class Contract:
     paces: Mapping[str, Pace] = field(default_factory=dict)
     constants: Mapping[str, Mapping[str, str | None]] = field(default_factory=dict)
     relays: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    roles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def known(self) -> Known:
+        """The topics of the normal recordings, and their roles."""
+        return Known(frozenset(self.topics), self.roles)
 
     @classmethod
     def learned(cls, observations: Sequence[Observation]) -> Self:
@@ -192,6 +205,7 @@ class Contract:
             },
             {name: _constants(name, observations) for name in names},
             {name: sources for name in names if (sources := _sources(name, observations))},
+            _roles(observations),
         )
 
     def breaches(self, seen: Observation, *, rates: bool = True) -> list[Breach]:
@@ -303,6 +317,7 @@ class Contract:
             "paces": self.paces,
             "constants": self.constants,
             "relays": self.relays,
+            "roles": self.roles,
         }
 
     @classmethod
@@ -322,6 +337,7 @@ class Contract:
             pace_of,
             document["constants"],
             document["relays"],
+            {role: tuple(topics) for role, topics in document["roles"].items()},
         )
 
 
@@ -359,6 +375,15 @@ def _sources(name: str, observations: Iterable[Observation]) -> dict[str, float]
     sources = [source for source in seen[0] if all(source in each for each in seen)]
     lowest = {source: min(each[source].share for each in seen) for source in sources}
     return {source: share for source, share in lowest.items() if share >= MOSTLY}
+
+
+def _roles(observations: Iterable[Observation]) -> dict[str, tuple[str, ...]]:
+    """Return the topics that play each role in any recording."""
+    found: dict[str, set[str]] = {}
+    for seen in observations:
+        for role, topics in seen.roles.items():
+            found.setdefault(role, set()).update(topics)
+    return {role: tuple(sorted(topics)) for role, topics in found.items()}
 
 
 def _of_topic(name: str, terms: TopicTerms, kind: str, qos: Sequence[str]) -> list[Breach]:

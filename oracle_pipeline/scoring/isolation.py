@@ -9,7 +9,7 @@ import os
 import resource
 import signal
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext
@@ -18,10 +18,13 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from oracle_pipeline.bags.errors import BagError, OracleError
+from oracle_pipeline.bags.merging import Messages
 from oracle_pipeline.features import FeatureManager, FeatureTables, build_manager, extract
 from oracle_pipeline.features.engine.kept_messages import KeptMessages
 from oracle_pipeline.features.manager import FOLDER_VARIABLE
+from oracle_pipeline.features.signals.collector import SignalCollector
 from oracle_pipeline.opened_run import OpenedRun, open_run
+from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.robot import Robot, find_robots, of_robot
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.contract import Observation, Observer
@@ -63,6 +66,7 @@ def extract_isolated(
     *,
     strict: bool = False,
     choices: RoleChoices | None = None,
+    known: Known | None = None,
     paced: bool = False,
 ) -> list[Extracted]:
     """Compute the features of a recording in another process.
@@ -79,6 +83,8 @@ def extract_isolated(
         Refuse an incomplete recording.
     choices : RoleChoices, optional
         Robots and topics from a roles file.
+    known : Known, optional
+        Topics of the reference that the recording is compared with.
     paced : bool
         Whether to measure the paces of topics too.
 
@@ -92,19 +98,32 @@ def extract_isolated(
     OracleError
         If the recording cannot be read, or its process died or exceeded the limits.
     """
-    work = partial(extracted, plugins=manager.folder, strict=strict, choices=choices, paced=paced)
+    work = partial(
+        extracted,
+        plugins=manager.folder,
+        strict=strict,
+        choices=choices,
+        known=known,
+        paced=paced,
+    )
     return run_isolated(work, path, limits)
 
 
 def extracted(
-    path: Path, plugins: Path | None, *, strict: bool, choices: RoleChoices | None, paced: bool
+    path: Path,
+    plugins: Path | None = None,
+    *,
+    strict: bool = False,
+    choices: RoleChoices | None = None,
+    known: Known | None = None,
+    paced: bool = False,
 ) -> list[Extracted]:
     """Compute the features of a recording in this process; otherwise as `extract_isolated`."""
     with open_run(path, strict=strict) as run:
         manager = build_manager(plugins)
         return [
             _of_robot(str(path), run, robot, manager, paced=paced)
-            for robot in find_robots(run.bag, choices)
+            for robot in find_robots(run.bag, choices, known)
         ]
 
 
@@ -112,12 +131,29 @@ def _of_robot(
     path: str, run: OpenedRun, robot: Robot, manager: FeatureManager, *, paced: bool
 ) -> Extracted:
     observer = Observer(robot.bag, paced=paced)
-    recording = KeptMessages.read(robot, manager.plugins, see=observer.see)
-    tables = extract(run, manager, robot, recording)
-    length_s = (recording.duration_ns - 1) * 1e-9
-    del recording  # its arrays, before those of the observation are made
+    tables, length_s = _tables(run, robot, manager, observer)
+    roles = {role: found.topics for role, found in robot.roles.found.items() if found.topics}
     seen = observer.observation(run, length_s)
+    seen = replace(seen, roles=roles, instead=robot.instead)
     return Extracted(of_robot(path, robot.name), tables, seen, run.manifest is not None)
+
+
+def _tables(
+    run: OpenedRun, robot: Robot, manager: FeatureManager, observer: Observer
+) -> tuple[FeatureTables, float]:
+    """Return the features of one robot, and the length of its recording [s].
+
+    What was kept of the messages is freed before the observation is made.
+    """
+    signals = SignalCollector(robot)
+
+    def see(batch: Messages) -> None:
+        observer.see(batch)
+        signals.see(batch)
+
+    recording = KeptMessages.read(robot, manager.plugins, see=see)
+    tables = extract(run, manager, robot, recording, signals)
+    return tables, (recording.duration_ns - 1) * 1e-9
 
 
 def run_isolated(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT_LIMITS) -> T:

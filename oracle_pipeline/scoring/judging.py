@@ -4,6 +4,7 @@ A verdict has the breaches of the contract of the system, which need no statisti
 among the normal runs, and the features outside their usual range.
 """
 
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,8 +16,10 @@ import pandas as pd
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import progress_bar
+from oracle_pipeline.datasets import MISSING
 from oracle_pipeline.detectors import SignalScaler, by_family, explain
 from oracle_pipeline.features import FeatureManager, FeatureTables
+from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.alarms import RATE_PER_H, Alarm, AlarmWatch
 from oracle_pipeline.scoring.card import ReferenceCard
@@ -26,14 +29,13 @@ from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.evidence import farthest_features
 from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS, Extracted, Limits, extract_isolated
+from oracle_pipeline.scoring.likeness import LEAST, likeness
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.verdict import AspectScore, Judgement, ScoringError, Verdict
 from oracle_pipeline.windows import WINDOW_S
 
-OTHER_ROLES = (
-    "The reference was learned with a different roles file, so its features may come from other "
-    "topics; omit --roles to use the file of the reference."
-)
+_OF_ALL_TOPICS = "generic."  # prefix of features that sum or compare all topics
+_LACKS_TOPICS = "topics of the reference are not recorded"
 
 
 class CardSource(Protocol):
@@ -46,6 +48,10 @@ class CardSource(Protocol):
     @property
     def roles(self) -> RoleChoices | None:
         """Robots and topics from the roles file of the normal runs; None without one."""
+
+    @property
+    def known(self) -> Known | None:
+        """Topics of the normal runs, and their roles; None if only their features are known."""
 
     def card_for(self, row: pd.DataFrame) -> ReferenceCard:
         """Return the card to judge a recording by, given its run features."""
@@ -89,21 +95,18 @@ def score(
         Whether `far` is the share of normal recordings among those called anomalous, over all
         recordings (Benjamini-Hochberg), instead of the rate for each.
     """
-    notes: tuple[str, ...] = ()
-    if choices is None:
-        choices = reference.roles
-    elif choices != (reference.roles or RoleChoices()):
-        notes = (OTHER_ROLES,)
+    known = reference.known
+    if choices is None and reference.roles is not None:
+        choices = reference.roles if known is None else replace(reference.roles, topics={})
     verdicts = [
         verdict
         for path in progress_bar(recordings, unit="recording")
         for verdict in _judge_robots(
-            path, reference, manager, limits, strict=strict, choices=choices
+            path, reference, manager, limits, strict=strict, choices=choices, known=known
         )
     ]
     if not hold_to_contract:
         verdicts = [replace(each, contract=()) for each in verdicts]
-    verdicts = [replace(each, notes=(*notes, *each.notes)) for each in verdicts]
     return decide_suite(verdicts, far) if together else [decided(each, far) for each in verdicts]
 
 
@@ -174,10 +177,13 @@ def _judge_robots(
     *,
     strict: bool,
     choices: RoleChoices | None,
+    known: Known | None,
 ) -> list[Verdict]:
     """Return a verdict for each robot of a recording, or one verdict with the error."""
     try:
-        robots = extract_isolated(path, manager, limits, strict=strict, choices=choices)
+        robots = extract_isolated(
+            path, manager, limits, strict=strict, choices=choices, known=known
+        )
     except (OracleError, OSError) as error:
         return [Verdict(str(path), "error", error=str(error))]
     return [_judge_robot(each, reference) for each in robots]
@@ -189,7 +195,8 @@ def _judge_robot(extracted: Extracted, reference: CardSource) -> Verdict:
         verdict = _scored(recording, tables, reference.card_for(tables.run), seen)
         return replace(verdict, notes=(*tables.notes, *verdict.notes))
     except (OracleError, OSError) as error:
-        return Verdict(recording, "error", error=str(error))
+        cautions = _moved(seen, reference.known)
+        return Verdict(recording, "error", error=str(error), cautions=cautions)
     except Exception as error:  # a defect of ours costs this verdict, not the others
         told = f"{recording} cannot be judged: {type(error).__name__}: {error}. Please report it."
         return Verdict(recording, "error", error=told)
@@ -221,6 +228,19 @@ def _scored(
     that was not fitted on the block, and the block has no vote. So a run of a campaign gets the
     same verdict as in the evaluation.
     """
+    cautions = _moved(seen, card.known)
+    if card.contract is not None and seen is not None:
+        share, differences = likeness(card.contract, seen, card.runs.columns, tables.run.columns)
+        if share < LEAST:
+            return Verdict(
+                recording,
+                "another system",
+                cautions=cautions,
+                in_common=share,
+                differences=differences,
+            )
+        if any(t.always and name not in seen.topics for name, t in card.contract.topics.items()):
+            tables = _without_rates(tables)
     measured = _measured(tables, card)
     design = card.scorer.design
     columns, notes = shared_features(tables.run, card.runs, design.run_features)
@@ -252,6 +272,33 @@ def _scored(
         evidence=farthest_features(deviations, tables, card.scorer.scorers_[0].usual_in_windows),
         families=tuple(by_family(deviations, [*columns, *signals])),
         notes=tuple(notes),
+        cautions=cautions,
+    )
+
+
+def _moved(seen: Observation | None, known: Known | None) -> tuple[str, ...]:
+    """Return what to do if topics of the recording may play roles of other topics."""
+    if seen is None or known is None or not seen.instead:
+        return ()
+    moved = "; ".join(
+        f"{role} (in the reference {', '.join(known.roles[role])}; here perhaps {', '.join(names)})"
+        for role, names in seen.instead.items()
+    )
+    file = json.dumps(RoleChoices(topics=seen.instead).document())
+    return (
+        f"Not compared, because their topics have other names: {moved}. If they are the same, put "
+        f"this line into a file and name it with --roles: {file}",
+    )
+
+
+def _without_rates(tables: FeatureTables) -> FeatureTables:
+    """Return tables without the features of all topics, as the recording lacks some of them."""
+    rates = [column for column in tables.run.columns if column.startswith(_OF_ALL_TOPICS)]
+    reasons = json.loads(tables.run[MISSING].iloc[0]) | dict.fromkeys(rates, _LACKS_TOPICS)
+    of_windows = [column for column in rates if column in tables.windows.columns]
+    return FeatureTables(
+        tables.run.assign(**dict.fromkeys(rates, np.nan), **{MISSING: json.dumps(reasons)}),
+        tables.windows.assign(**dict.fromkeys(of_windows, np.nan)),
     )
 
 

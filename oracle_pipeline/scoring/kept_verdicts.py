@@ -14,7 +14,7 @@ from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.alarms import Alarm
 from oracle_pipeline.scoring.verdict import AspectScore, Evidence, Verdict
 
-VERSION = 1
+VERSION = 2
 
 
 class KeptVerdictError(OracleError):
@@ -85,6 +85,6 @@ def _verdict(document: Mapping[str, Any]) -> Verdict:
             "alarms": tuple(Alarm(**each) for each in document["alarms"]),
             "evidence": tuple(Evidence(**each) for each in document["evidence"]),
             "families": tuple(FamilyDeviation(*each) for each in document["families"]),
-            "notes": tuple(document["notes"]),
+            **{name: tuple(document[name]) for name in ("notes", "cautions", "differences")},
         }
     )

@@ -18,6 +18,7 @@ from oracle_pipeline.datasets import (
 )
 from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel
 from oracle_pipeline.features import FeatureManager
+from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.card import ReferenceCard, is_card
 from oracle_pipeline.scoring.comparable import same_kind, shared_features
@@ -193,6 +194,13 @@ class Cards:
     def roles(self) -> RoleChoices | None:
         """Robots and topics from the roles file of the recordings; None without one."""
         return self._reference.roles
+
+    @property
+    def known(self) -> Known | None:
+        """Topics of the normal recordings, and their roles; None if only tables were read."""
+        normal = ~is_malicious(self._reference.table)
+        seen = list(itertools.compress(self._reference.observations, normal))
+        return Contract.learned(seen).known if seen else None
 
     def card_for(self, row: pd.DataFrame) -> ReferenceCard:
         """Return the card for the kind of system that a recording comes from."""

@@ -21,6 +21,7 @@ EXIT_CODES: dict[Judgement, int] = {
     "breach": 1,
     "anomalous": 1,
     "unsupported": 2,
+    "another system": 2,
     "error": 2,
 }
 _SHOWN: dict[Judgement, str] = {
@@ -28,9 +29,14 @@ _SHOWN: dict[Judgement, str] = {
     "breach": "BREACH",
     "anomalous": "ANOMALOUS",
     "unsupported": "NO VERDICT",
+    "another system": "ANOTHER SYSTEM",
     "error": "COULD NOT JUDGE",
 }
-_TALLIED: dict[Judgement, str] = {"unsupported": "without a verdict", "error": "not judged"}
+_TALLIED: dict[Judgement, str] = {
+    "unsupported": "without a verdict",
+    "another system": "of another system",
+    "error": "not judged",
+}
 _WIDTH = len("NO VERDICT")
 
 RATES = (0.05, 0.01)  # false positive rates for which missing blocks are reported
@@ -40,7 +46,7 @@ BREACH = (
     "or the graph are not as in all normal recordings."
 )
 
-MOST_BREACHES = 8  # of the contract that are shown at once
+MOST_BREACHES = 10  # of the contract that are shown at once
 
 _MOST_OUTLIERS = 5  # recordings of a card that are listed
 _MOST_NOTES = 8  # on the reference that are shown below verdicts
@@ -105,7 +111,7 @@ def as_text(
 
     `together` is as for ``scoring.judging.score``, `verbose` as for `paragraph`.
     """
-    judged = [_remarks(verdict) for verdict in verdicts if verdict.outcome != "error"]
+    judged = [_remarks(verdict) for verdict in verdicts if verdict.p_value is not None]
     shared = [remark for remark in judged[0] if all(remark in j for j in judged)] if judged else []
     lines = [line for each in verdicts for line in paragraph(each, shared, verbose=verbose)]
     if judged:
@@ -237,24 +243,33 @@ def paragraph(
     verdict: Verdict, shared: Sequence[str] = (), *, verbose: bool = False
 ) -> Iterator[str]:
     """Yield the lines on one verdict, without the shared remarks; verbose: on families too."""
-    if verdict.outcome == "error":
-        yield f"{_SHOWN[verdict.outcome]}  {verdict.recording}: {verdict.error}"
+    if verdict.p_value is None:
+        yield f"{_SHOWN[verdict.outcome]}  {verdict.recording}: {headline(verdict)}"
+        yield from (f"    {line}" for line in (*verdict.cautions, *verdict.differences))
         return
     suite = "" if verdict.suite_p_value == verdict.p_value else f" (alone {verdict.p_value:.3g})"
     yield (
         f"{_SHOWN[verdict.outcome].ljust(_WIDTH)}  {verdict.recording}  "
         f"p = {verdict.suite_p_value:.3g}{suite}, score {verdict.score:.3g}"
     )
+    yield from (f"    {caution}" for caution in verdict.cautions)
     told = headline(verdict)
     if verdict.outcome in ("anomalous", "unsupported") and told not in verdict.contract:
         yield f"    {told}"
-    yield from (f"    {breach}" for breach in verdict.contract)
+    yield from (f"    {line}" for line in breaches(verdict, "--format json lists all"))
     yield from (f"    {line}" for line in beside(verdict))
     if verdict.outcome != "normal":
         yield from aligned_lines([HEADINGS, *map(cells, verdict.evidence)], indent="    ")
     if verdict.outcome != "normal" and verbose:
         yield from (f"    {family_as_text(family)}" for family in verdict.families)
     yield from (f"    {remark}" for remark in _remarks(verdict) if remark not in shared)
+
+
+def breaches(verdict: Verdict, rest: str) -> Iterator[str]:
+    """Yield the first breaches of the contract; `rest` says where the others are."""
+    yield from verdict.contract[:MOST_BREACHES]
+    if (more := len(verdict.contract) - MOST_BREACHES) > 0:
+        yield f"and {_count(more, 'more difference')} from the contract; {rest}."
 
 
 def beside(verdict: Verdict) -> Iterator[str]:

@@ -85,6 +85,11 @@ def headline(verdict: Verdict) -> str:
     """Return one sentence on a verdict, for the top of a page or a line of a terminal."""
     if verdict.outcome == "error":
         return verdict.error
+    if verdict.outcome == "another system" and verdict.in_common is not None:
+        return (
+            f"It is another kind of system: {verdict.in_common:.0%} of roles, topics and types are "
+            "those of the reference. Use a reference of this system."
+        )
     if verdict.outcome == "normal":
         return "It behaved as the normal runs did."
     if verdict.contract and (verdict.outcome == "breach" or not verdict.evidence):

@@ -10,7 +10,10 @@ from oracle_pipeline.scoring.alarms import Alarm
 
 # Breach: not anomalous by its features, but it breaks the contract of the system.
 # Unsupported: there is a score, but too few normal runs for a verdict at the requested rate.
-Judgement: TypeAlias = Literal["normal", "breach", "anomalous", "unsupported", "error"]
+# Another system: the reference has too little in common with the recording to compare them.
+Judgement: TypeAlias = Literal[
+    "normal", "breach", "anomalous", "unsupported", "another system", "error"
+]
 
 
 class ScoringError(OracleError):
@@ -62,3 +65,6 @@ class Verdict:
     families: tuple[FamilyDeviation, ...] = ()  # of all features outside their usual range
     notes: tuple[str, ...] = ()
     error: str = ""
+    cautions: tuple[str, ...] = ()  # what a reader has to know before all else
+    in_common: float | None = None  # share of roles, topics and types that the reference has too
+    differences: tuple[str, ...] = ()  # of another system, the largest first

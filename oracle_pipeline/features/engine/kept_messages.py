@@ -70,7 +70,7 @@ class KeptMessages:
     notes: list[str]
 
     def __init__(self, robot: Robot, plugins: tuple[FeaturePlugin, ...]) -> None:
-        bag, self._roles = robot.bag, robot.roles
+        bag, self._roles, self._used = robot.bag, robot.roles, sorted(robot.used)
         self.shared: dict[Any, Any] = {}
         self._budget = MemoryBudget()
         self._topics = {name: KeptTopic(bag, topic) for name, topic in bag.topics.items()}
@@ -78,7 +78,7 @@ class KeptMessages:
             plugin.name: {
                 key: {
                     name: self._topics[name].ask(request, self._budget)
-                    for name in sorted(self._topics)
+                    for name in self._used
                     if request.matches(bag.topics[name], self._topics[name].layout, robot.roles)
                 }
                 for key, request in plugin.topics.items()
@@ -141,7 +141,7 @@ class KeptMessages:
 
     def span(self, span: Span, graphs: Graphs) -> Window:
         """Return the part of a span's window that is the same for every plugin."""
-        arrivals = {name: self._within(name, span) for name in sorted(self._topics)}
+        arrivals = {name: self._within(name, span) for name in self._used}
         return Window(
             span.start_s, span.end_s, *graphs, arrivals, roles=self._roles, shared=self.shared
         )

@@ -13,6 +13,7 @@ from oracle_pipeline.bags.merging import Messages, Rows
 from oracle_pipeline.bags.reader import BagReader, Topic
 from oracle_pipeline.features.engine.columns import SerializedMessages
 from oracle_pipeline.features.signals.fields import Numbers, numbers_of
+from oracle_pipeline.robots.robot import Robot
 
 MOST_OF_TOPIC = 48  # signals of one topic
 MOST_SIGNALS = 320  # of a recording
@@ -114,8 +115,8 @@ class SignalCollector:
 
     Parameters
     ----------
-    bag : BagReader
-        The bag that is read, of one robot.
+    robot : Robot
+        Whose bag is read.
 
     Attributes
     ----------
@@ -123,14 +124,15 @@ class SignalCollector:
         Signals that were left out, once `signals` was called.
     """
 
-    def __init__(self, bag: BagReader) -> None:
+    def __init__(self, robot: Robot) -> None:
+        bag = robot.bag
         self.notes: list[str] = []
         self._names = list(bag.topics)
         self._first = 0  # number of the next batch's first message
         self._numbers: dict[int, list[Rows]] = {}  # of the messages of each topic
         self._topics: dict[int, _Topic] = {}
         for number, topic in enumerate(bag.topics.values()):
-            if topic.msgtype.startswith(_OF_THE_MIDDLEWARE):
+            if topic.name not in robot.used or topic.msgtype.startswith(_OF_THE_MIDDLEWARE):
                 continue
             with suppress(BagError):  # the features note topics of unknown types
                 self._topics[number] = _Topic(bag, topic)

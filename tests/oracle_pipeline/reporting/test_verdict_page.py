@@ -64,7 +64,7 @@ def test_breaches_come_first_and_many_of_them_leave_room_for_the_picture(recorde
     above, below = html.split("<img")
     assert [each in above for each in told] == [True] * MOST_BREACHES + [False] * 3
     assert above.index(told[0]) < above.index("Of 19 normal recordings")
-    assert "The remarks list 3 more breaches of the contract." in above
+    assert "and 3 more differences from the contract; the remarks list all." in above
     assert all(each in below for each in told[MOST_BREACHES:])
 
 

@@ -2,13 +2,15 @@
 
 import json
 import re
+from html import unescape
 
 import pytest
 from click.testing import CliRunner
 
 from oracle_pipeline.cli import main
-from oracle_pipeline.scoring.judging import OTHER_ROLES
+from oracle_pipeline.scoring.likeness import LEAST
 from tests.oracle_pipeline.features.conftest import drive, write_bag
+from tests.oracle_pipeline.robots.recordings import IMU, JOINTS, bag_with
 from tests.oracle_pipeline.scoring.test_score_command import oracle_score, spinning
 
 pytestmark = pytest.mark.slow
@@ -69,9 +71,8 @@ def test_a_card_gives_the_verdicts_of_the_recordings_it_was_learned_from(place, 
 
 
 def test_recordings_are_scored_with_the_roles_that_the_card_was_learned_with(place, tmp_path):
-    roles, others = tmp_path / "roles.yaml", tmp_path / "others.yaml"
+    roles = tmp_path / "roles.yaml"
     roles.write_text("roles: {odometry: []}")
-    others.write_text("roles: {scan: [/scan]}")
     card = tmp_path / "robot.card"
     output = oracle_learn(place / "good", "--output", card, "--roles", roles).stdout
     assert "Roles file, used for scoring too: odometry none." in output
@@ -88,8 +89,42 @@ def test_recordings_are_scored_with_the_roles_that_the_card_was_learned_with(pla
     by_card = scored()
     assert by_card == scored("--roles", roles)
     assert not any("total_turning" in each["feature"] for each in by_card["evidence"])
-    assert OTHER_ROLES not in by_card["notes"]
-    assert OTHER_ROLES in scored("--roles", others)["notes"]
+
+
+def test_a_topic_takes_the_role_of_another_only_by_a_roles_file(place, learned, tmp_path):
+    arguments = (place / "renamed", "--reference", place / "robot.card", *FAR, "--format", "json")
+    (recording,) = json.loads(oracle_score(*arguments, expect=1).stdout)["recordings"]
+    (caution,) = recording["cautions"]
+    assert "odometry (in the reference /odom; here perhaps /robot/odom)" in caution
+    assert "features of the reference count as usual" in " ".join(recording["notes"])
+    roles = tmp_path / "roles.yaml"
+    roles.write_text(caution[caution.index("{") :])
+    done = oracle_score(*arguments, "--roles", roles, expect=2)
+    (by_roles,) = json.loads(done.stdout)["recordings"]
+    assert by_roles["cautions"] == by_roles["contract"] == []
+    # Under its usual name it is one of the recordings that the card was learned from.
+    assert by_roles["notes"][0].startswith("Its block is part of the reference")
+
+
+def test_another_robot_is_another_system_without_a_p_value(place, learned, tmp_path):
+    other = bag_with(tmp_path / "arm", {"/imu/data": IMU, "/joint_states": JOINTS})
+    reference = ("--reference", place / "robot.card", *FAR)
+    files = ("--junit", tmp_path / "it.xml", "--page", tmp_path / "it.html")
+    done = oracle_score(other, *reference, *files, "--format", "json", expect=2)
+    (recording,) = json.loads(done.stdout)["recordings"]
+    assert recording["outcome"] == "another system"
+    assert recording["p_value"] is None
+    assert 0.0 <= recording["in_common"] < LEAST
+    differences = recording["differences"]
+    assert 1 <= len(differences) <= 5
+    text = oracle_score(other, *reference, expect=2).stdout
+    assert text.startswith("ANOTHER SYSTEM")
+    assert "1 of another system in" in text
+    junit, page = ((tmp_path / name).read_text() for name in ("it.xml", "it.html"))
+    assert "<error " in junit
+    for shown in (text, unescape(junit), unescape(page)):
+        assert recording["summary"] in shown
+        assert all(each in shown for each in differences)
 
 
 def test_a_breach_of_the_contract_is_printed_before_the_statistics(place, learned):
@@ -98,7 +133,7 @@ def test_a_breach_of_the_contract_is_printed_before_the_statistics(place, learne
         ["score", str(place / "renamed"), "--reference", str(place / "robot.card"), "--far", "0.2"],
     )
     lines = [line.strip() for line in done.stdout.splitlines()]
-    assert lines[1:3] == [
+    assert lines[3:5] == [
         "Topic /odom is gone: every normal recording has it.",
         "Topic /robot/odom (nav_msgs/msg/Odometry) is new.",
     ]
