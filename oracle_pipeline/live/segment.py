@@ -74,6 +74,10 @@ class Segment:
         """Length so far [s]."""
         return (self._now_ns - self.start_ns) / _SECOND_NS
 
+    def is_over(self, stamp_ns: int, length_s: float) -> bool:
+        """Return whether a message is later than a length of the segment."""
+        return stamp_ns - self.start_ns >= length_s * _SECOND_NS
+
     def add(self, stamped: Stamped) -> None:
         """Take a message; stamps never run back."""
         message, stamp_ns = stamped

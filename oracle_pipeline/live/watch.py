@@ -4,6 +4,7 @@
 """
 
 import itertools
+import math
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
@@ -53,6 +54,8 @@ class Watch:
         Name of the first recording; others have a number behind it.
     split : Split
         When a file of a recording ends.
+    piece_s : float
+        Length of a segment, after which another one begins [s].
     keep_free_bytes : int, optional
         Free space at which recording ends; by default as for `Recorder`.
     alarms_per_h : float, optional
@@ -86,6 +89,7 @@ class Watch:
         folder: Path | None = None,
         name: str = "recording",
         split: Split = Split(),  # noqa: B008 -- immutable
+        piece_s: float = math.inf,
         keep_free_bytes: int | None = None,
         alarms_per_h: float | None = None,
         plugins: Path | None = None,
@@ -95,7 +99,7 @@ class Watch:
         self.received = 0
         self.recordings: list[Path] = []
         self._domain, self._folder, self._name = domain, folder, name
-        self._split, self._keep_free_bytes = split, keep_free_bytes
+        self._split, self._piece_s, self._keep_free_bytes = split, piece_s, keep_free_bytes
         self._stopped = False
         self._judge = None if card is None else JudgeProcess(card, alarms_per_h, plugins)
         self._contract = None if self._judge is None else self._judge.contract
@@ -224,6 +228,8 @@ class Watch:
             if isinstance(each, Step):
                 self._step(each)
                 continue
+            if self._segment is not None and self._segment.is_over(each.stamp_ns, self._piece_s):
+                self._end_segment()
             if self._segment is None:
                 self._begin(each.stamp_ns)
             message, stamp_ns = each

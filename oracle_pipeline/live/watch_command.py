@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import json
+import math
 import signal
 import time
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.live.quantities import as_size, as_split
 from oracle_pipeline.options import format_option, plugins_option
 
@@ -19,6 +21,9 @@ if TYPE_CHECKING:
     from oracle_pipeline.live.page_server import LivePage
     from oracle_pipeline.live.split_bag import Split
     from oracle_pipeline.live.watch import Watch
+
+
+_PIECE_S = 120.0  # of each recording that a card is learned from
 
 
 @click.command()
@@ -33,6 +38,11 @@ if TYPE_CHECKING:
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
     help="Folder that the recording goes into. Without one, nothing is recorded.",
+)  # fmt: skip
+@click.option(
+    "--learn", metavar="CARD", type=click.Path(path_type=Path, dir_okay=False),
+    help="Learn a reference card at the end, from all recordings in --out: pieces of 2 minutes.  "
+    "[default of --out: CARD.recordings]",
 )  # fmt: skip
 @click.option(
     "--split", metavar="SIZE|TIME", callback=as_split,
@@ -62,6 +72,7 @@ def watch(
     reference: Path | None,
     domain: int | None,
     out: Path | None,
+    learn: Path | None,
     split: "Split",
     keep_free: int | None,
     alarms_per_hour: float | None,
@@ -83,12 +94,17 @@ def watch(
         oracle watch
         oracle watch --reference robot.card --out recordings/ --split 1GiB
         oracle watch --reference robot.card --view
+        oracle watch --learn robot.card --duration 3600
         oracle watch --reference robot.card --domain 7 --format json | jq .alarm
     """  # noqa: D301 -- click reads the control character
     from oracle_pipeline.bags.dds import default_domain
     from oracle_pipeline.live.events import ContractAlarm, WindowAlarm
     from oracle_pipeline.live.watch import Watch
 
+    if learn is not None:
+        if reference is not None:
+            raise click.UsageError("--learn and --reference exclude each other; give one of them.")
+        out = out or learn.with_name(f"{learn.name}.recordings")
     if out is not None and out.is_dir():
         _finish_leftovers(out)
     number = default_domain() if domain is None else domain
@@ -103,6 +119,7 @@ def watch(
                 folder=out,
                 name=name,
                 split=split,
+                piece_s=math.inf if learn is None else _PIECE_S,
                 keep_free_bytes=keep_free,
                 alarms_per_h=alarms_per_hour,
                 plugins=plugins,
@@ -127,6 +144,8 @@ def watch(
         click.echo(told, err=True)
     for path in watching.recordings:
         click.echo(f"Recording: {path}", err=True)
+    if learn is not None and out is not None:
+        _learn(ctx, learn, out)
     ctx.exit(1 if alarms else 0)
 
 
@@ -147,6 +166,21 @@ def recover(ctx: click.Context, folder: Path) -> None:
         oracle recover recordings/
     """  # noqa: D301 -- click reads the control character
     ctx.exit(2 if _finish_leftovers(folder) else 0)
+
+
+def _learn(ctx: click.Context, card: Path, out: Path) -> None:
+    """Learn a card from the pieces in a folder; those that a session ended with are too short."""
+    from oracle_pipeline.bags.run_directory import recording_summary
+
+    summaries = {path: recording_summary(path) or {} for path in sorted(out.iterdir())}
+    good = [p for p, told in summaries.items() if told.get("recording_s", 0.0) >= _PIECE_S / 2]
+    if not good:
+        raise OracleError(
+            f"{out} has no recording of a minute; watch for longer, best for an hour."
+        )
+    group = ctx.find_root().command
+    assert isinstance(group, click.Group)  # noqa: S101 -- `oracle`
+    ctx.invoke(group.commands["learn"], good=good, output=card, roles=None, plugins=None)
 
 
 def _finish_leftovers(folder: Path) -> int:

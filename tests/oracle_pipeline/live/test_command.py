@@ -7,6 +7,11 @@ import pytest
 from click.testing import CliRunner
 
 from oracle_pipeline.cli import main
+from oracle_pipeline.live.recorder import Recorder
+from oracle_pipeline.live.split_bag import Split
+from oracle_pipeline.scoring.card import ReferenceCard
+from sim.middleware.qos import DEFAULT
+from tests.oracle_pipeline.live.robots import STRING, TEXT
 
 WITHOUT = "import sys; sys.modules['cyclonedds'] = None; from {module} import main; main({words})"
 
@@ -35,3 +40,17 @@ def test_a_missing_card_ends_with_2(tmp_path):
     done = CliRunner().invoke(main, ["watch", "--reference", str(tmp_path / "none.card")])
     assert done.exit_code == 2
     assert "oracle learn" in done.output
+
+
+def test_watch_learns_a_card_from_all_pieces_of_its_folder_that_are_long_enough(domain, tmp_path):
+    for number, seconds in enumerate((100, 100, 100, 20)):
+        piece = Recorder(tmp_path / "good" / str(number), {"recording_s": seconds}, Split(), 0)
+        piece.add_topic("/words", STRING, [DEFAULT])
+        for tick in range(10 * seconds):
+            piece.write("/words", 10**12 + (10**8 + 10**5 * number) * tick, TEXT)
+        piece.close()
+    card = tmp_path / "robot.card"
+    options = ["--domain", str(domain), "--out", str(tmp_path / "good"), "--duration", "0.1"]
+    done = CliRunner().invoke(main, ["watch", "--learn", str(card), *options])
+    assert done.exit_code == 0, done.output
+    assert len(ReferenceCard.load(card).runs) == 3

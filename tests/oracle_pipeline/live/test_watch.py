@@ -93,6 +93,21 @@ def test_messages_and_graphs_are_recorded_in_simulated_time(domain, speaker, tmp
 
 
 @pytest.mark.slow
+def test_a_recording_ends_after_a_piece_and_the_next_begins(domain, speaker, tmp_path):
+    speaker.start()
+    with Watch(domain, folder=tmp_path, name="today", piece_s=10.0) as watch:
+        events = watched(watch, lambda _: len(watch.recordings) == 4)
+    kept = []
+    for path in watch.recordings:
+        with open_run(path, strict=True) as run:
+            kept += [message.stamp_ns for message in run.bag.messages()]
+            if path != watch.recordings[-1]:
+                assert 9.0 < run.duration_s < 10.0
+                assert [interval.start_s for interval in run.intervals] == [0.0]
+    assert kept == [event.stamp_ns for event in events if isinstance(event, MessageReceived)]
+
+
+@pytest.mark.slow
 def test_a_watch_has_no_writer_on_the_domain(domain, speaker, tmp_path):
     speaker.start()
     own = dds.join(domain)
