@@ -65,10 +65,18 @@ class Disturbances:
             )
         return " ".join(told)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the content as values for JSON."""
-        until_now = [list(span) for span in self.spans if math.isfinite(span[1])]
-        return {"lost": dict(self.lost), "lost_packets": self.packets, "disturbed": until_now}
+    def to_dict(self, since_s: float, now_s: float) -> dict[str, Any]:
+        """Return the content as values for JSON, of a recording between two times [s].
+
+        Losses from before are left out only if nothing was disturbed since.
+        """
+        spans = [
+            [max(0.0, begin_s - since_s), min(end_s, math.floor(now_s) + 1.0) - since_s]
+            for begin_s, end_s in self.spans
+            if end_s > since_s
+        ]
+        lost, packets = (self.lost, self.packets) if spans else (Counter(), 0)
+        return {"lost": dict(lost), "lost_packets": packets, "disturbed": spans}
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
+    from oracle_pipeline.live.black_box import Keep
     from oracle_pipeline.live.split_bag import Split
 
 _SIZES = {
@@ -36,6 +37,20 @@ def as_split(_ctx: click.Context, _param: click.Parameter, text: str | None) -> 
     if not size and not seconds:
         raise click.BadParameter(f"{text!r} is not a size or a time; write it as 1GiB or 10min.")
     return Split(round(size) if size else None, seconds)
+
+
+def as_keep(_ctx: click.Context, _param: click.Parameter, text: str | None) -> "Keep | None":
+    """Return the time before and after an alarm that a text such as ``60s+30s`` names."""
+    from oracle_pipeline.live.black_box import Keep
+
+    if text is None:
+        return None
+    times = [_quantity(each, _TIMES) for each in text.split("+")]
+    if len(times) != 2 or times[0] is None or times[1] is None:
+        raise click.BadParameter(
+            f"{text!r} is not a time before and one after an alarm; write them as 60s+30s."
+        )
+    return Keep(times[0], times[1])
 
 
 def _quantity(text: str, units: Mapping[str, float]) -> float | None:

@@ -17,8 +17,8 @@ from rosbags.interfaces import Qos
 from oracle_pipeline.bags.graph_files import RosGraph, write_gexf, write_graphml
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, RECORDING_FILE
 from oracle_pipeline.bags.scratch import lock
-from oracle_pipeline.graphs.intervals import compose
-from oracle_pipeline.live.split_bag import Split, SplitBag
+from oracle_pipeline.graphs.intervals import compose, read_intervals
+from oracle_pipeline.live.split_bag import Message, Split, SplitBag
 
 _SHARE, _LEAST, _MOST = 0.02, 2 * 2**20, 2**30  # of the disk that stays free [B]
 
@@ -43,15 +43,25 @@ class Recorder:
         Content of ``recording.json``, beside the counts of messages.
     ended : str
         Why nothing is recorded any more; empty while it goes on.
+    start_s : float
+        When it begins [s of the segment].
     """
 
     def __init__(
-        self, path: Path, facts: dict[str, Any], split: Split, keep_free_bytes: int | None = None
+        self,
+        path: Path,
+        facts: dict[str, Any],
+        split: Split,
+        keep_free_bytes: int | None = None,
+        start_s: float = 0.0,
     ) -> None:
         (path / GRAPHS_FOLDER).mkdir(parents=True)
         self.path = path
         self.facts = facts
         self.ended = ""
+        self.start_s = start_s
+        self._files = [start_s]  # when each file begins
+        self._leads = False  # whether a file of latched messages is the first
         self._lock = contextlib.ExitStack()
         self._lock.enter_context(lock(path, wait=False))
         self._floor = _floor(path) if keep_free_bytes is None else keep_free_bytes
@@ -85,9 +95,39 @@ class Recorder:
         if self.ended:
             return
         with self._while_possible():
-            name = f"{start_s:06d}.gexf"
+            name = _graph_name(start_s - self.start_s)
             write_whole(self.path / GRAPHS_FOLDER / name, lambda path: write_gexf(graph, path))
             self._describe(complete=False)
+
+    def forget(self, now_s: float, before_s: float, latched: Sequence[Message]) -> None:
+        """End a file, and delete those that are over before a time [s of the segment].
+
+        Of the latched messages, those that were sent before what is left begin the recording.
+        """
+        if self.ended:
+            return
+        with self._while_possible():
+            self._bag.cut()
+            self._files.append(now_s)
+            over = sum(begin_s <= before_s for begin_s in self._files[1:])
+            if not over:
+                return
+            passed_s = self._files[over] - self.start_s
+            start_ns = self.facts["start_ns"] + round(passed_s * 1e9)
+            lead = [
+                each._replace(stamp_ns=start_ns) for each in latched if each.stamp_ns < start_ns
+            ]
+            self._bag.forget(over + self._leads, lead)
+            self._leads = bool(lead)
+            self._shift_graphs(passed_s)
+            self.facts["start_ns"], self.start_s = start_ns, self._files[over]
+            del self._files[:over]
+
+    def _shift_graphs(self, passed_s: float) -> None:
+        graphs = self.path / GRAPHS_FOLDER
+        for path in sorted(graphs.glob("*.gexf")):
+            start_s = int(path.stem) - passed_s
+            path.unlink() if start_s < 0 else path.rename(graphs / _graph_name(start_s))
 
     def close(self) -> None:
         """End the recording, whatever has happened before."""
@@ -95,6 +135,8 @@ class Recorder:
             self._bag.close()
         graphs = self.path / GRAPHS_FOLDER
         with contextlib.suppress(OSError):
+            if self._leads or len(self._files) > 1:  # some intervals were deleted
+                self._run = compose(each.graph for each in read_intervals(graphs, gaps=True))
             write_gexf(self._run, graphs / "run.gexf")
             write_graphml(self._run, graphs / "run.graphml")
         with contextlib.suppress(OSError):
@@ -115,6 +157,10 @@ class Recorder:
     def _end(self, reason: str) -> None:
         self.ended = reason
         self._bag.close()
+
+
+def _graph_name(start_s: float) -> str:
+    return f"{round(start_s):06d}.gexf"
 
 
 def write_summary(folder: Path, document: dict[str, Any]) -> None:

@@ -40,6 +40,8 @@ class Segment:
     recorder : Recorder or None
     report : callable
         Takes events.
+    turn : callable, optional
+        Takes the recorder at the end of an interval [s], and returns that of the next.
 
     Attributes
     ----------
@@ -56,13 +58,14 @@ class Segment:
         contract: ContractWatch | None,
         recorder: Recorder | None,
         report: Callable[[Event], None],
+        turn: Callable[[Recorder, float], Recorder] | None = None,
     ) -> None:
         self.start_ns = start_ns
         self.recorder = recorder
         self.disturbances = Disturbances()
         self._now_ns = self._newest_ns = start_ns
         self._discovery, self._known, self._report = discovery, known, report
-        self._judge, self._contract = judge, contract
+        self._judge, self._contract, self._turn = judge, contract, turn
         self._fresh: list[RawMessage] = []  # that the judge has not got yet
         self._sent: dict[int, tuple[int, int]] = {}  # messages and bytes of the interval
         self._interval = 0  # number of the current one
@@ -136,6 +139,7 @@ class Segment:
         self.forward()
         if end_ns >= (self._interval + 1) * _INTERVAL_NS:
             self._end_interval()
+            self._turn_over()
         if self._judge is not None:
             start_ns = self.start_ns
             timed = not self.disturbances.cover(begin_ns / _SECOND_NS, end_ns / _SECOND_NS)
@@ -149,6 +153,11 @@ class Segment:
             if self._sent:
                 self._end_interval()
             self._interval = passed_ns // _INTERVAL_NS
+            self._turn_over()
+
+    def _turn_over(self) -> None:
+        if self._turn is not None and self.recorder is not None:
+            self.recorder = self._turn(self.recorder, self._interval * INTERVAL_S)
 
     def _end_interval(self) -> None:
         start_s = self._interval * INTERVAL_S

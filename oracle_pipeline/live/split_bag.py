@@ -37,6 +37,14 @@ class Split(NamedTuple):
     seconds: float | None = None  # of the recording
 
 
+class Message(NamedTuple):
+    """A message to be written."""
+
+    topic: str
+    stamp_ns: int
+    data: bytes
+
+
 class SplitBag:
     """Writes messages into the files of a new bag.
 
@@ -57,9 +65,10 @@ class SplitBag:
         self.counts: Counter[str] = Counter()
         self._folder, self._split = folder, split
         self._topics: dict[str, tuple[str, list[Qos]]] = {}
-        self._pending: list[tuple[str, int, bytes]] = []
+        self._pending: list[Message] = []
         self._pending_bytes = 0
         self._ended: list[Information] = []  # of the files that are complete
+        self._begun = 0  # number of files so far
         self._file = self._next()
 
     def add_topic(self, name: str, msgtype: str, qos: Sequence[Qos]) -> None:
@@ -69,7 +78,7 @@ class SplitBag:
 
     def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
         """Append a message."""
-        self._pending.append((topic, stamp_ns, data))
+        self._pending.append(Message(topic, stamp_ns, data))
         self._pending_bytes += len(data)
         if self._pending_bytes > _BATCH_BYTES:
             self._store()
@@ -79,9 +88,29 @@ class SplitBag:
         self._store()
         self._file.flush()
         if self._file.is_due(self._split):
-            self._ended.append(self._file.close_file())
-            write_metadata(self._folder, self._ended)
-            self._file = self._next()
+            self.cut()
+
+    def cut(self) -> None:
+        """End this file, and begin the next."""
+        self._store()
+        self._ended.append(self._file.close_file())
+        write_metadata(self._folder, self._ended)
+        self._file = self._next()
+
+    def forget(self, files: int, lead: Sequence[Message]) -> None:
+        """Delete the oldest complete files, and let messages in their place lead the bag."""
+        for told in self._ended[:files]:
+            (self._folder / told["relative_file_paths"][0]).unlink()
+            for topic in told["topics_with_message_count"]:
+                self.counts[topic["topic_metadata"]["name"]] -= topic["message_count"]
+        del self._ended[:files]
+        if lead:
+            current, self._file = self._file, self._next()
+            self._pending.extend(lead)
+            self._store()
+            self._ended.insert(0, self._file.close_file())
+            self._file = current
+        write_metadata(self._folder, self._ended)
 
     def close(self) -> None:
         """Write the rest, and ``metadata.yaml``; after an error, what was flushed."""
@@ -98,7 +127,8 @@ class SplitBag:
                 write_metadata(self._folder, self._ended)
 
     def _next(self) -> "_File":
-        return _File(self._folder / f"{self._folder.name}_{len(self._ended)}")
+        self._begun += 1
+        return _File(self._folder / f"{self._folder.name}_{self._begun - 1}")
 
     def _store(self) -> None:
         pending, self._pending, self._pending_bytes = self._pending, [], 0

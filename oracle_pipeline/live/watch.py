@@ -7,6 +7,7 @@ import itertools
 import math
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from time import monotonic, monotonic_ns, sleep
 from typing import Any, Self
@@ -17,14 +18,15 @@ from oracle_pipeline.bags.errors import DdsError, OracleError
 from oracle_pipeline.bags.limits import MOST_CHANNELS
 from oracle_pipeline.bags.protocol import is_hidden
 from oracle_pipeline.bags.qos_profiles import is_latched, is_reliable
+from oracle_pipeline.live.black_box import BlackBox, Keep
 from oracle_pipeline.live.contract_watch import ContractWatch
 from oracle_pipeline.live.discovery import Discovery, Endpoint
-from oracle_pipeline.live.events import Event, MessageReceived, Note, WindowAlarm
+from oracle_pipeline.live.events import ContractAlarm, Event, MessageReceived, Note, WindowAlarm
 from oracle_pipeline.live.intake import QUEUE_BYTES, Intake, Received
 from oracle_pipeline.live.judge_process import JudgeProcess
 from oracle_pipeline.live.recorder import Recorder
 from oracle_pipeline.live.segment import Segment
-from oracle_pipeline.live.split_bag import Split
+from oracle_pipeline.live.split_bag import Message, Split
 from oracle_pipeline.live.time_base import CLOCK_TOPIC, RobotTime, Stamped, Step
 from oracle_pipeline.live.window_scorer import WindowVerdict
 
@@ -56,6 +58,8 @@ class Watch:
         When a file of a recording ends.
     piece_s : float
         Length of a segment, after which another one begins [s].
+    keep : Keep, optional
+        What is kept around alarms; by default everything is.
     keep_free_bytes : int, optional
         Free space at which recording ends; by default as for `Recorder`.
     alarms_per_h : float, optional
@@ -90,6 +94,7 @@ class Watch:
         name: str = "recording",
         split: Split = Split(),  # noqa: B008 -- immutable
         piece_s: float = math.inf,
+        keep: Keep | None = None,
         keep_free_bytes: int | None = None,
         alarms_per_h: float | None = None,
         plugins: Path | None = None,
@@ -100,6 +105,8 @@ class Watch:
         self.recordings: list[Path] = []
         self._domain, self._folder, self._name = domain, folder, name
         self._split, self._piece_s, self._keep_free_bytes = split, piece_s, keep_free_bytes
+        self._black_box = None if keep is None else BlackBox(keep)
+        self._triggers: deque[str] = deque()
         self._stopped = False
         self._judge = None if card is None else JudgeProcess(card, alarms_per_h, plugins)
         self._contract = None if self._judge is None else self._judge.contract
@@ -110,7 +117,7 @@ class Watch:
         self._intake = Intake(self._participant, queue_bytes)
         self._announced: dict[str, list[Endpoint]] = {}  # publishers so far, by topic
         self._unsupported: set[str] = set()  # topics that cannot be recorded
-        self._latched: dict[str, deque[Received]] = {}
+        self._latched: dict[str, deque[Stamped]] = {}
         self._time = RobotTime(simulated=False)
         self._segment: Segment | None = None
         self._pending: deque[Event] = deque()
@@ -118,6 +125,10 @@ class Watch:
     def stop(self) -> None:
         """End the iteration soon; a signal handler or another thread may call it."""
         self._stopped = True
+
+    def trigger(self, reason: str) -> None:
+        """Keep the time around now; a signal handler or another thread may call it."""
+        self._triggers.append(reason)
 
     def __enter__(self) -> Self:
         return self
@@ -236,7 +247,9 @@ class Watch:
             self._add(each)
             self.received += 1
             if message.topic in self._latched:
-                self._latched[message.topic].append(message)
+                self._latched[message.topic].append(each)
+            if self._black_box is not None and message.topic in self._black_box.keep.topics:
+                self.trigger(f"a message on {message.topic}")
             msgtype = self._intake.topics[message.topic]
             yield MessageReceived(message.topic, msgtype, stamp_ns, message.data)
         if self._segment is not None:
@@ -272,19 +285,39 @@ class Watch:
             self._judge,
             None if self._contract is None else ContractWatch(self._contract),
             self._recorder(start_ns),
-            self._pending.append,
+            self._report,
+            None if self._black_box is None else self._turn,
         )
         for kept in self._latched.values():
-            for message in kept:
+            for message, _ in kept:
                 self._add(Stamped(message, start_ns))
 
-    def _recorder(self, start_ns: int) -> Recorder | None:
+    def _turn(self, recorder: Recorder, now_s: float) -> Recorder:
+        """Return the recorder of the next interval, for the black box."""
+        assert self._black_box is not None  # noqa: S101 -- there is a black box
+        assert self._segment is not None  # noqa: S101 -- its interval has ended
+        latched = [
+            Message(message.topic, stamp_ns, message.data)
+            for kept in self._latched.values()
+            for message, stamp_ns in kept
+        ]
+        if not self._black_box.is_complete(recorder, now_s, latched):
+            return recorder
+        self._close(recorder)
+        start_ns = self._segment.start_ns + round(now_s * 1e9)
+        following = self._recorder(start_ns, now_s)
+        assert following is not None  # noqa: S101 -- the one before had a folder, too
+        for message in latched:
+            following.write(message.topic, start_ns, message.data)
+        return following
+
+    def _recorder(self, start_ns: int, start_s: float = 0.0) -> Recorder | None:
         if self._folder is None:
             return None
         facts = {"domain": self._domain, "time": self._time.name, "start_ns": start_ns}
         names = itertools.chain([self._name], (f"{self._name}_{n}" for n in itertools.count(2)))
         path = next(p for name in names if not (p := self._folder / name).exists())
-        recorder = Recorder(path, facts, self._split, self._keep_free_bytes)
+        recorder = Recorder(path, facts, self._split, self._keep_free_bytes, start_s)
         for topic, publishers in self._announced.items():
             profiles = [each.qos for each in publishers]
             recorder.add_topic(topic, self._intake.topics[topic], profiles)
@@ -306,18 +339,25 @@ class Watch:
         recorder = None if self._segment is None else self._segment.recorder
         if recorder is None or recorder.ended:
             return
-        recorder.facts |= self._facts()
+        recorder.facts |= self._facts(recorder)
         recorder.flush()
         if recorder.ended:
             self._pending.append(Note(f"Nothing more is recorded: {recorder.ended}."))
 
-    def _facts(self) -> dict[str, Any]:
+    def _facts(self, recorder: Recorder) -> dict[str, Any]:
         assert self._segment is not None  # noqa: S101 -- set by the first message
-        disturbances = self._segment.disturbances
-        dropped = disturbances.lost.total()
-        return {
-            "recording_s": self._segment.duration_s, "dropped": dropped, **disturbances.to_dict(),
-        }  # fmt: skip
+        begin_s, now_s = recorder.start_s, self._segment.duration_s
+        lacking = self._segment.disturbances.to_dict(begin_s, now_s)
+        return {"recording_s": now_s - begin_s, **lacking}
+
+    def _close(self, recorder: Recorder) -> None:
+        """Complete a recording, if it is kept."""
+        recorder.facts |= self._facts(recorder)
+        if self._black_box is None:
+            recorder.close()
+        elif self._black_box.take(recorder):
+            self._pending.append(Note(f"Kept: {recorder.path}"))
+        self.recordings = [path for path in self.recordings if path.exists()]
 
     def _end_segment(self) -> None:
         """End the segment, and complete its recording."""
@@ -325,14 +365,17 @@ class Watch:
             return
         self._segment.end()
         if self._segment.recorder is not None:
-            self._segment.recorder.facts |= self._facts()
-            self._segment.recorder.close()
+            self._close(self._segment.recorder)
         self._segment = None
 
     # Verdicts.
 
     def _collect(self) -> None:
-        """Collect new verdicts."""
+        """Collect new verdicts and triggers."""
+        while self._triggers and self._segment is not None and self._black_box is not None:
+            reason = self._triggers.popleft()
+            self._pending.append(Note(f"The time around now is kept: {reason}."))
+            self._black_box.alarm(self._segment.duration_s, {"trigger": reason})
         if self._judge is not None:
             try:
                 before = self._judge.left_out
@@ -350,17 +393,28 @@ class Watch:
     def _judged(self, verdict: WindowVerdict) -> None:
         self._pending.append(verdict)
         if verdict.alarm:
-            self._pending.append(WindowAlarm(verdict))
+            self._report(WindowAlarm(verdict))
+
+    def _report(self, event: Event) -> None:
+        """Pass on an event; an alarm is kept."""
+        self._pending.append(event)
+        if self._black_box is None:
+            return
+        if isinstance(event, WindowAlarm):
+            self._black_box.alarm(event.verdict.end_s, asdict(event.verdict))
+        elif isinstance(event, ContractAlarm):
+            told = {"contract": [breach.text for breach in event.breaches]}
+            self._black_box.alarm(event.at_s, told)
 
     def _finish(self) -> Iterator[Event]:
         """Take what has come, end the segment, and wait for the last verdicts."""
         came = self._intake.take()
         self._count_losses()
         yield from self._process(came)
-        self._end_segment()
         if self._judge is not None:
             for verdict in self._judge.close():
                 self._judged(verdict)
             self._judge = None
+        self._end_segment()
         while self._pending:
             yield self._pending.popleft()

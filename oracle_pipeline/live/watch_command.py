@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.live.quantities import as_size, as_split
+from oracle_pipeline.live.quantities import as_keep, as_size, as_split
 from oracle_pipeline.options import format_option, plugins_option
 
 if TYPE_CHECKING:
+    from oracle_pipeline.live.black_box import Keep
     from oracle_pipeline.live.events import Event
     from oracle_pipeline.live.page_server import LivePage
     from oracle_pipeline.live.split_bag import Split
@@ -53,6 +54,18 @@ _PIECE_S = 120.0  # of each recording that a card is learned from
     help="Free space at which recording ends.  [default: 2% of the disk, at most 1GiB]",
 )  # fmt: skip
 @click.option(
+    "--keep", metavar="TIME+TIME", callback=as_keep,
+    help="Keep only the time before and after alarms, such as 60s+30s.  [default: everything]",
+)  # fmt: skip
+@click.option(
+    "--keep-on", metavar="TOPIC", multiple=True,
+    help="A message on this topic is kept as an alarm is; so is the signal SIGUSR1.",
+)  # fmt: skip
+@click.option(
+    "--keep-at-most", metavar="SIZE", callback=as_size,
+    help="Size of all that is kept; the oldest is deleted first.  [default: no limit]",
+)  # fmt: skip
+@click.option(
     "--alarms-per-hour", type=click.FloatRange(0.0, min_open=True),
     help="False alarms an hour that may be raised.  [default: 0.5, or what the card supports]",
 )  # fmt: skip
@@ -75,6 +88,9 @@ def watch(
     learn: Path | None,
     split: "Split",
     keep_free: int | None,
+    keep: "Keep | None",
+    keep_on: tuple[str, ...],
+    keep_at_most: int | None,
     alarms_per_hour: float | None,
     file_format: str,
     duration: float | None,
@@ -94,6 +110,7 @@ def watch(
         oracle watch
         oracle watch --reference robot.card --out recordings/ --split 1GiB
         oracle watch --reference robot.card --view
+        oracle watch --reference robot.card --out alarms/ --keep 60s+30s --keep-at-most 10GB
         oracle watch --learn robot.card --duration 3600
         oracle watch --reference robot.card --domain 7 --format json | jq .alarm
     """  # noqa: D301 -- click reads the control character
@@ -105,6 +122,10 @@ def watch(
         if reference is not None:
             raise click.UsageError("--learn and --reference exclude each other; give one of them.")
         out = out or learn.with_name(f"{learn.name}.recordings")
+    if keep is not None:
+        if out is None or learn is not None:
+            raise click.UsageError("--keep needs --out, and no --learn.")
+        keep = keep._replace(most_bytes=keep_at_most or math.inf, topics=frozenset(keep_on))
     if out is not None and out.is_dir():
         _finish_leftovers(out)
     number = default_domain() if domain is None else domain
@@ -120,6 +141,7 @@ def watch(
                 name=name,
                 split=split,
                 piece_s=math.inf if learn is None else _PIECE_S,
+                keep=keep,
                 keep_free_bytes=keep_free,
                 alarms_per_h=alarms_per_hour,
                 plugins=plugins,
@@ -127,6 +149,7 @@ def watch(
         )
         for ends in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(ends, lambda *_: watching.stop())
+        signal.signal(signal.SIGUSR1, lambda *_: watching.trigger("the signal SIGUSR1"))
         if duration is not None:
             signal.signal(signal.SIGALRM, lambda *_: watching.stop())
             signal.setitimer(signal.ITIMER_REAL, duration)
