@@ -10,7 +10,7 @@ import pytest
 from assets.worker.run import process_run
 from sim.fan_out import fan_out, process_pool
 from tests.assets.laboratory import Laboratory
-from tools.soak.aggregates import AGGREGATES, compared, end, made, wait_for_step
+from tools.soak.aggregates import compared, end, made, wait_for_step
 from tools.soak.aggregates import start as start_asset
 from tools.soak.aggregates import state as state_of_aggregates
 from tools.soak.faults import complete, disturbed, jobs, leftovers, state
@@ -18,6 +18,8 @@ from tools.soak.full_disk import everything
 
 pytestmark = pytest.mark.slow(8)
 
+# One of each kind that is written: a table, a folder of results, the pages.
+WRITTEN = ("feature_dataset", "bootstrapped_dataset", "oracle_report")
 KILLS = 3  # of everything, of a worker and of the caller; `python -m tools.soak.faults` makes 50
 
 
@@ -45,7 +47,7 @@ def test_a_killed_write_leaves_the_old_or_the_new_table_or_report(
     shutil.copytree(campaign.root, root)
     expected = state_of_aggregates(root)
     # A file that replaces another, as pages do, and a folder.
-    written = {"datasets": "feature_dataset", "report/parts": "malicious_rate_report"}
+    written = {"datasets": "feature_dataset", "report/parts": "bootstrapped_dataset"}
     for folder, asset in written.items():
         running = start_asset(tmp_path, [asset])
         wait_for_step(tmp_path, running)
@@ -72,6 +74,6 @@ def test_an_interrupted_evaluation_ends_soon_and_leaves_nothing(
 
 
 def test_on_a_full_disk_no_asset_is_made_and_nothing_is_lost(copy_of_campaign: Laboratory) -> None:
-    found = dict(everything(copy_of_campaign.root, np.random.default_rng(15)))
-    assert found.keys() == {"recording of a run", "features of a run", *AGGREGATES}
+    found = dict(everything(copy_of_campaign.root, np.random.default_rng(15), WRITTEN))
+    assert found.keys() == {"recording of a run", "features of a run", *WRITTEN}
     assert not any(found.values()), found

@@ -10,7 +10,7 @@ import hashlib
 import resource
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -98,12 +98,14 @@ def _hashes(root: Path) -> dict[str, str]:
     }
 
 
-def everything(root: Path, rng: np.random.Generator) -> Iterator[tuple[str, list[str]]]:
+def everything(
+    root: Path, rng: np.random.Generator, aggregates: Iterable[str] = AGGREGATES
+) -> Iterator[tuple[str, list[str]]]:
     """Materialize each asset once on a full disk; yield its name and its faults."""
     run = RunDirectory(root, *RUNS[0])
     yield "recording of a run", recording(run, rng)
     yield "features of a run", features(run, rng)
-    for asset in AGGREGATES:
+    for asset in aggregates:
         yield asset, aggregate(root, asset, rng)
 
 
