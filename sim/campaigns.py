@@ -43,7 +43,6 @@ class Options:
     relation: Relation = "same"
     # Changed values of Nav2's parameters, by full name: see ``sim.nav2.parameters``.
     nav2_params: Mapping[str, float] = field(default_factory=dict, hash=False)
-    cameras: bool = False  # images and points of the depth camera, 15 MB per second
     hidden_topics: bool = False  # feedback and status of actions
     receive_stamps: bool = False  # bag stamps are the recorder's wall clock, not simulated time
 

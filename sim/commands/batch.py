@@ -139,7 +139,6 @@ _CAMPAIGN_OPTIONS = (
         "world; with start and goals in reverse order; or from a start up to 0.3 m away. `oracle "
         "kinds` expects the same behaviour in all of them.",
     ),
-    click.option("--cameras", is_flag=True, help="Switch the depth camera on: 15 MB per second."),
     click.option(
         "--include-hidden-topics", "hidden_topics", is_flag=True,
         help="Record feedback and status of actions.",

@@ -25,11 +25,6 @@ STATIC, ROBOT, FLOOR = 0, 1, 2  # geom groups
 # against each other in every turn. The cylinder touches the pieces of the world.
 _TREAD_BIT = 2
 
-# Red, green, blue, opacity; our own.
-_WALL_RGBA = "0.45 0.55 0.65 1"
-_PILLAR_RGBA = "0.9 0.9 0.85 1"
-_FLOOR_RGBA = "0.6 0.6 0.55 1"
-
 
 @dataclass(frozen=True, slots=True)
 class WorldParameters:
@@ -75,7 +70,7 @@ def mjcf(parameters: WorldParameters, *, with_pieces: bool = True) -> str:
     </default>
   </default>
   <worldbody>
-    <geom name="floor" type="plane" size="50 50 1" group="{FLOOR}" rgba="{_FLOOR_RGBA}"
+    <geom name="floor" type="plane" size="50 50 1" group="{FLOOR}"
           contype="{_TREAD_BIT}" conaffinity="{_TREAD_BIT}"/>
     {"".join(f'<body name="{name}">{geoms}</body>' for name, geoms in around.items())}
     <body name="base_footprint">
@@ -178,7 +173,7 @@ def _box(
     size = " ".join(map(str, half))
     return (
         f'<geom name="{name}" type="box" pos="{x} {y} {z}" size="{size}" '
-        f'euler="0 0 {degrees}" group="{STATIC}" rgba="{_WALL_RGBA}"/>'
+        f'euler="0 0 {degrees}" group="{STATIC}"/>'
     )
 
 
@@ -186,5 +181,5 @@ def _cylinder(c: Cylinder) -> str:
     half = c.height / 2.0
     return (
         f'<geom name="{c.name}" type="cylinder" pos="{c.x} {c.y} {half}" '
-        f'size="{c.radius} {half}" group="{STATIC}" rgba="{_PILLAR_RGBA}"/>'
+        f'size="{c.radius} {half}" group="{STATIC}"/>'
     )

@@ -29,7 +29,6 @@ def add_robot(
     generator: Callable[[str], np.random.Generator],
     *,
     odometry_source: OdometrySource = "world",
-    cameras: bool = False,
 ) -> None:
     """Add the nodes of the simulator and of the robot to a domain.
 
@@ -43,8 +42,6 @@ def add_robot(
         Gives each node, by name, its randomness.
     odometry_source
         ``world``: odometry is the ground truth; ``encoder``: it is integrated from the wheels.
-    cameras
-        Whether there is a rendering context, without which the depth camera publishes nothing.
     """
     Gazebo(domain)
     # The LiDARs and the infrared are separate devices: each measures at a phase of its own.
@@ -73,7 +70,7 @@ def add_robot(
     # After the diff drive, so that it measures the effect of the newest command.
     ImuPlugin(domain, world.imu, errors.gyro, generator("/turtlebot3_imu"))
     JointStatePlugin(domain, world.wheel_states)
-    add_depth_camera(domain, world, renders=cameras)
+    add_depth_camera(domain)
     RobotStatePublisher(domain)
 
 

@@ -9,7 +9,8 @@ from sim.middleware.geometry import Pose2D
 from sim.testbed import Recipe
 from sim.turtlebot3.arena import Arena
 
-_WITHDRAWN = {"debug_topics": False}  # options of earlier releases, and their only value now
+# Options of earlier releases, and their only value now.
+_WITHDRAWN = {"debug_topics": False, "cameras": False}
 
 ARENA, RELATION = 4, 5  # branches of the seed
 

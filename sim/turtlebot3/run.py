@@ -60,7 +60,6 @@ class TurtleBot3Run(TestbedRun):
             sensor_errors(session),
             recipe.generator,
             odometry_source=options.odometry_source,
-            cameras=options.cameras,
         )
         self._nav2 = bring_up(
             self.domain,

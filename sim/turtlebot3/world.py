@@ -23,18 +23,11 @@ from sim.turtlebot3.wheel_odometry import Wheels
 
 _EPISODE_GAP_NS = 1_000_000_000  # a robot that scrapes along a wall touches it again and again
 
-# By geom group; a camera also sees the floor.
-_SEEN_BY_CAMERAS = np.array([1, 0, 1, 0, 0, 0], np.uint8)
-
 # A state is time, positions (robot: x, y, z, quaternion w, x, y, z; wheels) and their speeds.
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _POSE, _QUATERNION = np.s_[1:8], np.s_[4:8]
 # Sensors: gyro, accelerometer, and per piece of the world how often the robot touches it.
 _GYRO, _ACCELEROMETER, _INERTIAL, _TOUCHES = np.s_[:3], np.s_[3:6], np.s_[:6], np.s_[6:]
-
-_SKY_RGB = np.array([0.7, 0.7, 0.7])
-_AMBIENT = 0.4  # share of ambient light; the rest comes from the sun
-_SUN = np.array([0.5, -0.1, 0.9]) / math.sqrt(1.07)  # its direction, as seen from the floor
 
 
 class ImuSamples(NamedTuple):
@@ -67,14 +60,6 @@ class _Physics(NamedTuple):
         model = mujoco.MjModel.from_xml_string(description)
         data = mujoco.MjData(model)
         return cls([model], [data], data.qacc_warmstart)
-
-
-@dataclass(frozen=True, slots=True)
-class View:
-    """Measurements of an ideal camera along its rays."""
-
-    distances: NDArray[np.float64]  # (n,) to the nearest surface [m]; inf where there is none
-    colours: NDArray[np.uint8]  # (n, 3) red, green, blue
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +112,6 @@ class World:
         self._last_touch_ns: dict[str, int] = {}
         self.touches: list[_Touch] = []
         self._rays = Rays(self._seen_by_lidars())
-        # The last row is the sky: a ray that hits nothing reports geom -1.
-        self._colours = np.vstack([self._model.geom_rgba[:, :3], _SKY_RGB])
 
     @property
     def time_ns(self) -> int:
@@ -226,40 +209,6 @@ class World:
         angles = bearings + sensor.yaw
         origin = (sensor.x, sensor.y, height)
         return self._rays.distances(origin, np.cos(angles), np.sin(angles), range_max)
-
-    def look(
-        self, mount: Pose2D, height: float, directions: NDArray[np.float64], range_max: float
-    ) -> View:
-        """Measure depth and colour along rays; surfaces are matt (Lambert), without shadows.
-
-        Parameters
-        ----------
-        mount, height
-            The camera's pose in the robot's frame, and its height above the floor [m].
-        directions : ndarray of shape (n, 3)
-            Of the rays, unit vectors in the camera's frame: x forward, y left, z up.
-        range_max
-            Range of the camera [m].
-        """
-        camera = self.pose.compose(mount)
-        turned = np.empty_like(directions)
-        turned[:, :2] = Pose2D(yaw=camera.yaw).apply(directions[:, :2])
-        turned[:, 2] = directions[:, 2]
-        origin = np.array([camera.x, camera.y, height])
-        normals = np.zeros_like(directions)
-        rays = len(directions)
-        distances, geoms = np.empty(rays), np.empty(rays, np.int32)
-        mujoco.mj_multiRay(
-            self._model, self._data, origin, turned.ravel(), _SEEN_BY_CAMERAS, 1, -1, geoms,
-            distances, normals.reshape(-1), rays, range_max,
-        )  # fmt: skip
-        missed = (distances < 0.0) | (distances > range_max)
-        distances[missed] = np.inf
-        geoms[missed] = -1  # no geom
-        light = _AMBIENT + (1.0 - _AMBIENT) * np.maximum(normals @ _SUN, 0.0)
-        light[missed] = 1.0
-        colours = 255.0 * light[:, None] * self._colours[geoms]
-        return View(distances, np.rint(colours).astype(np.uint8))
 
     def _seen_by_lidars(self) -> Iterator[Geom]:
         """Yield the geoms of the pieces of the world; none of them moves."""
