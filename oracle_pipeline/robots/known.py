@@ -57,8 +57,8 @@ class Known:
         """
         absent = [
             role
-            for role, topics in self.roles.items()
-            if role not in chosen and not bag.topics.keys() >= {*topics}
+            for role in ROLES
+            if role not in chosen and not bag.topics.keys() >= {*self.roles.get(role, ())}
         ]
         new = {name: name for name in self._new(bag)}
         if not absent or not new:
