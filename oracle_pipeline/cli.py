@@ -12,6 +12,7 @@ import shlex
 import sys
 import time
 import traceback
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -225,6 +226,7 @@ def _json(table: "Table", tables: "RecordingFeatures") -> str:
 @rate_option("--far", "False positive rate: the share of normal runs that may be called anomalous.")
 @format_option("text", "json", text="Text for reading; one JSON object for programs.")
 @output_option("--junit", "File for the verdicts as JUnit XML, for a CI system.")
+@output_option("--badge", "File for a badge (SVG) with outcome, lowest p-value and date.")
 @output_option("--page", "File for a page (HTML) with the verdicts, their evidence and pictures.")
 @click.option(
     "--time-limit", default=900.0, show_default=True, type=click.FloatRange(0.0, min_open=True),
@@ -257,6 +259,7 @@ def score(
     far: float,
     file_format: str,
     junit: Path | None,
+    badge: Path | None,
     page: Path | None,
     time_limit: float,
     memory_limit: float,
@@ -330,6 +333,11 @@ def score(
             text = output.as_text(verdicts, far, normal.notes, together=suite, verbose=verbose)
         click.echo(f"{text}{output.tally(verdicts)} in {time.perf_counter() - started:.1f} s")
     write_junit(verdicts)
+    if badge is not None:
+        from oracle_pipeline.reporting.badge import as_badge
+
+        with replacing(badge) as sink:
+            sink.write(as_badge(verdicts, datetime.now(UTC).date()))
     if page is not None:
         from oracle_pipeline.replay.picture import picture
         from oracle_pipeline.reporting import verdict_page

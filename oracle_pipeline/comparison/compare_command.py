@@ -15,6 +15,11 @@ from oracle_pipeline.options import format_option, output_option, plugins_option
 @click.argument("second", metavar="B", type=click.Path(path_type=Path, exists=True))
 @rate_option("--level", "Probability of reporting a difference between sets that do not differ.")
 @format_option("text", "json", text="Text for reading; one JSON object for programs.")
+@click.option("--markdown", is_flag=True, help="Print the comment for a pull request instead.")
+@click.option(
+    "--link", "links", multiple=True, metavar="URL",
+    help="Link below that comment, such as to films; may be given more than once.",
+)  # fmt: skip
 @output_option(
     "--junit", "File for the outcome as JUnit XML, with a test case for each family of features."
 )
@@ -27,6 +32,8 @@ def compare(
     second: Path,
     level: float,
     file_format: str,
+    markdown: bool,
+    links: tuple[str, ...],
     junit: Path | None,
     picture: Path | None,
     plugins: Path | None,
@@ -43,6 +50,7 @@ def compare(
     \b
     Examples:
         oracle compare monday/ tuesday/
+        oracle compare main/ pr/ --markdown > comment.md
         oracle compare old_build/ new_build/ --junit compare.xml --picture compare.png
         oracle compare a/datasets/features.parquet b/datasets/features.parquet --level 0.01
     """  # noqa: D301 -- click reads the control character
@@ -53,8 +61,10 @@ def compare(
     from oracle_pipeline.features import build_manager
 
     comparison = compare_sets(*read_sets(first, second, build_manager(plugins)), level)
-    show = texts.as_json if file_format == "json" else texts.as_text
-    click.echo(show(comparison))
+    if markdown:
+        click.echo(texts.as_markdown(comparison, links))
+    else:
+        click.echo((texts.as_json if file_format == "json" else texts.as_text)(comparison))
     if junit is not None:
         with replacing(junit) as sink:
             sink.write(texts.as_junit(comparison))

@@ -1,10 +1,11 @@
-"""Formats a comparison as text, JSON and JUnit XML."""
+"""Formats a comparison as text, JSON, JUnit XML, and as the comment on a pull request."""
 
 import dataclasses
 import json
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 
-from oracle_pipeline.bags.terminal import aligned_lines
+from oracle_pipeline.bags.terminal import aligned_lines, printable
 from oracle_pipeline.comparison.measurements import family_of
 from oracle_pipeline.comparison.set_comparison import (
     ComparisonOutcome,
@@ -16,6 +17,11 @@ from oracle_pipeline.scoring.junit import TestCase, junit_document
 
 EXIT_CODES: dict[ComparisonOutcome, int] = {"same": 0, "different": 1, "unsupported": 2}
 SHOWN = 20  # differences in a text; JSON has all
+_NEXT: dict[ComparisonOutcome, str] = {
+    "same": "Next: nothing to look at. More recordings would show smaller differences.",
+    "different": "Next: --picture FILE.png draws these features; oracle replay shows a recording.",
+    "unsupported": "Next: record more, and compare again.",
+}
 
 _HEADINGS = ("feature", "A", "B", "B - A", "95 % interval", "effect", "p")
 
@@ -40,7 +46,62 @@ def as_text(comparison: SetComparison) -> str:
         if more := len(comparison.differences) - len(shown):
             lines.append(f"    and {more} more; --format json lists all")
         lines += ["", *(f"    {line}" for line in _by_family(comparison))]
-    return "\n".join([*lines, "", *_basis(comparison), *comparison.notes])
+    lines += ["", *_basis(comparison), *comparison.notes, _NEXT[comparison.outcome]]
+    return "\n".join(lines)
+
+
+def as_markdown(comparison: SetComparison, links: Sequence[str] = ()) -> str:
+    """Return a comment for a pull request: what changed, by how much, and what did not change.
+
+    Parameters
+    ----------
+    comparison : SetComparison
+        A is the branch to merge into, B the one to merge.
+    links : sequence of str
+        Addresses to put below, such as of films.
+    """
+    shown = comparison.differences[:SHOWN]
+    lines = [f"### {_title(comparison)}", ""]
+    if shown:
+        lines += ["| feature | before | after | change (95 %) | p, corrected |", "| --- " * 5 + "|"]
+        lines += [_row(difference) for difference in shown]
+        if more := len(comparison.differences) - len(shown):
+            lines.append(f"\nand {more} more")
+        lines.append("")
+    changed = {each.family for each in comparison.differences}
+    same = [f"{name} ({n})" for name, n in comparison.compared.items() if name not in changed]
+    if same and comparison.outcome != "unsupported":
+        lines += [f"**Did not change:** {', '.join(same)}.", ""]
+    lines += ["<details><summary>How this was measured</summary>", ""]
+    lines += [*map(_plain, (*_basis(comparison), *comparison.notes)), "", "</details>"]
+    return "\n".join([*lines, *(f"\n{link}" for link in links)])
+
+
+def _title(comparison: SetComparison) -> str:
+    if not comparison.differences:
+        return _in_words(comparison)
+    first, more = comparison.differences[0], len(comparison.differences) - 1
+    unit = "" if first.unit == "1" else f" {first.unit}"
+    others = f", and {more} more feature{'s' if more > 1 else ''} changed" if more else ""
+    return (
+        f"The behaviour changed: {_code(first.feature)} went from {first.first:.3g} to "
+        f"{first.second:.3g}{unit} (p = {first.p_value:.2g}){others}"
+    )
+
+
+def _row(difference: Difference) -> str:
+    feature, before, after, shift, interval, _, p = _cells(difference)
+    return f"| {_code(feature)} | {before} | {after} | {shift} ({interval}) | {p} |"
+
+
+def _code(name: str) -> str:
+    """Return a name from a recording as inline code, without what would end it or its cell."""
+    return f"`{re.sub('[`|]', '?', printable(name))}`"
+
+
+def _plain(text: str) -> str:
+    """Return a text with names of recordings in it, without markup."""
+    return re.sub(r"([\\`*_<>\[\]@#|])", r"\\\1", printable(text))
 
 
 def _in_words(comparison: SetComparison) -> str:

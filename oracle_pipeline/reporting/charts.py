@@ -69,7 +69,7 @@ def roc_curves(curves: NamedCurves) -> bytes:
         axes.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
         for number, (name, (curve, area)) in enumerate(curves.items()):
             color, dash = SERIES[number % len(SERIES)], DASHES[number % len(DASHES)]
-            axes.fill_between(curve.fpr, curve.low, curve.high, color=color, alpha=0.13, lw=0)
+            axes.fill_between(curve.fpr, curve.low, curve.high, color=color, alpha=0.2, lw=0.8)
             fpr, tpr = np.append(0.0, curve.fpr), np.append(0.0, curve.tpr)
             axes.plot(fpr, tpr, color=color, ls=dash, lw=1.8, label=f"{name}  AUC {area}")
         axes.set(xlim=(-0.01, 1.01), ylim=(-0.01, 1.01), aspect="equal")

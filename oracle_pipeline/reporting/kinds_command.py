@@ -3,6 +3,7 @@
 Heavy imports are inside the commands, so that ``--help`` stays fast.
 """
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -93,7 +94,14 @@ def kinds(
             build_kinds(material, plugins), material.runs, by_cards(recordings, material.runs),
             far, bar.set_postfix_str,
         )  # fmt: skip
-    click.echo((as_json if file_format == "json" else as_text)(comparison, far))
+    if file_format == "json":
+        click.echo(as_json(comparison, far))
+        return
+    click.echo(as_text(comparison, far))
+    click.echo(
+        "Next: oracle replay RUN shows a run; oracle review asks you about those of which the "
+        "kinds are least certain."
+    )
 
 
 @click.command()
@@ -145,6 +153,8 @@ def review(
         given[run] = bad
         human.save_answers(given, answers)
     click.echo(human.learned_line(human.with_answers(material, given)))
+    told = shlex.join(["oracle", "kinds", *map(str, recordings), "--answers", str(answers)])
+    click.echo(f"Next: {told}")
 
 
 @click.command()
@@ -179,6 +189,10 @@ def invariants(good: tuple[Path, ...], output: Path, traces: Path | None) -> Non
     click.echo(
         f"{len(learned)} invariants of {len(seen.traces)} of {len(normal.traces)} recordings: "
         f"{output}"
+    )
+    click.echo(
+        f"Next: review the file, then oracle kinds RECORDINGS --reference "
+        f"{shlex.quote(str(good[0]))} --requirements {shlex.quote(str(output))}"
     )
 
 

@@ -10,6 +10,7 @@ import pytest
 from oracle_pipeline.comparison.measurements import resolved_values
 from oracle_pipeline.comparison.permutation import MatchedPairs, TwoSamples
 from oracle_pipeline.comparison.set_comparison import ComparisonError, compare, fewest
+from oracle_pipeline.comparison.texts import as_markdown, as_text
 from oracle_pipeline.datasets import Fields
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.reference import Reference
@@ -30,9 +31,27 @@ def reference(values: Any, *, mode: str = "m", first_block: int = 0, session: in
     return Reference(table)
 
 
+def test_the_comment_says_what_changed_by_how_much_and_what_did_not() -> None:
+    first = reference(np.arange(8.0))
+    second = reference(np.arange(8.0) + 20.0)
+    for each, steady in ((first, [1.0, 2.0]), (second, [2.0, 1.0])):
+        each.table["steady.value"] = np.tile(steady, 4)
+        each.table["odd`<b>|name.value"] = each.table["drive.path"]
+    told = as_markdown(compare(first, second), ["https://example.org/film.gif"])
+    title, *lines = told.splitlines()
+    assert title.startswith("### The behaviour changed: `")
+    assert "went from 3.5 to 23.5 m (p = 0.016), and 1 more feature changed" in title
+    assert "| `drive.path` | 3.5 m | 23.5 m | +20 (+20 to +20) | 0.016 |" in lines
+    assert "**Did not change:** steady (1)." in lines
+    assert lines[-1] == "https://example.org/film.gif"
+    assert "`odd?<b>?name.value`" in told  # inside code, no markup of a name counts
+
+
 def test_a_set_does_not_differ_from_itself() -> None:
     normal = reference(np.arange(8.0))
     assert compare(normal, normal).outcome == "same"
+    assert as_markdown(compare(normal, normal)).startswith("### NO DIFFERENCE in 1 features")
+    assert as_text(compare(normal, normal)).splitlines()[-1].startswith("Next: ")
 
 
 def test_equal_blocks_are_compared_in_pairs_in_any_order() -> None:

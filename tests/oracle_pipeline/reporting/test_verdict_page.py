@@ -2,7 +2,9 @@
 
 import base64
 import re
+from datetime import date
 from html import unescape
+from xml.etree import ElementTree
 
 import pytest
 
@@ -10,6 +12,7 @@ from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.replay.picture import picture
 from oracle_pipeline.reporting import verdict_page
+from oracle_pipeline.reporting.badge import as_badge
 from oracle_pipeline.scoring.isolation import Limits
 from oracle_pipeline.scoring.output import MOST_BREACHES
 from oracle_pipeline.scoring.verdict import Evidence, Verdict
@@ -75,6 +78,20 @@ def test_names_and_texts_of_a_recording_are_escaped(recorded_run, tmp_path, page
     assert "\x1b" not in html
     assert html.count("&lt;script&gt;") >= 3
     assert "default-src &#39;none&#39;" in html or "default-src 'none'" in html
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "told", "colour"),
+    [
+        ([Verdict("a", "normal", suite_p_value=0.4)], "1 normal · p 0.4 · 2026-01-31", "#1b6a39"),
+        ([anomalous("a"), anomalous("b")], "2 anomalous · p 0.05 · 2026-01-31", "#a3281b"),
+        ([Verdict("a", "error", error="<gone>")], "1 not judged · 2026-01-31", "#7a5200"),
+    ],
+)
+def test_a_badge_has_outcome_lowest_p_and_date(verdicts, told, colour):
+    svg = ElementTree.fromstring(as_badge(verdicts, date(2026, 1, 31)))  # noqa: S314 -- ours
+    assert svg.get("aria-label") == f"behaviour: {told}"
+    assert colour in {part.get("fill") for part in svg}
 
 
 def test_the_page_loads_nothing(recorded_run, page):
