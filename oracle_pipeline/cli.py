@@ -348,6 +348,29 @@ def score(
 
 
 @main.command()
+@click.option(
+    "--folder", type=click.Path(path_type=Path, file_okay=False, exists=True), default=".",
+    show_default=True, help="The only folder in which files are written.",
+)  # fmt: skip
+def mcp(folder: Path) -> None:
+    """Serve learn, score, compare, evidence and replay to an assistant.
+
+    Speaks the Model Context Protocol over standard input and output. Needs the extra `mcp`.
+
+    \b
+    Examples:
+        oracle mcp --folder ~/verdicts
+    """  # noqa: D301 -- click reads the control character
+    try:
+        from oracle_pipeline.tool_server import build_server
+    except ModuleNotFoundError as error:
+        raise OracleError(
+            f"{error}. Install the extra: pip install 'ros2-behaviour-oracle[mcp]'"
+        ) from error
+    build_server(folder).run()
+
+
+@main.command()
 @click.argument("good", metavar="GOOD...", nargs=-1, required=True,
                 type=click.Path(path_type=Path, exists=True))  # fmt: skip
 @output_option("--output", "File to write, such as robot.card.", required=True)
