@@ -109,7 +109,7 @@ class Guard:
             return None
         method = scope["method"]
         if origin is None and _is_sent_by_another_site(method, headers):
-            return 403, f"The request comes from a page of another site. {self._advice}"
+            return 403, f"A page of another site or an extension sent this. {self._advice}"
         if method in {"GET", "HEAD"}:
             asks_graphql = scope["path"].rstrip("/").endswith("/graphql")
             if asks_graphql and "text/html" not in headers.get("accept", ""):
@@ -132,8 +132,11 @@ def is_loopback(host: str) -> bool:
 
 
 def _is_sent_by_another_site(method: str, headers: Headers) -> bool:
-    """Return whether a page of another site sent the request, other than by a link."""
-    if headers.get("sec-fetch-site", "none") in {"none", "same-origin"}:
+    """Return whether a page of another site, or an extension, sent the request, but for a link.
+
+    The requests of an extension come from no site, as an address that a user types does.
+    """
+    if headers.get("sec-fetch-site", "same-origin") == "same-origin":
         return False
     follows = headers.get("sec-fetch-mode"), headers.get("sec-fetch-dest")
     return not (method == "GET" and follows == ("navigate", "document"))

@@ -172,6 +172,7 @@ def _verdict(event: WindowVerdict) -> Part:
         "usual": event.is_usual,
         "alarm": event.alarm,
         "timed": event.timed,
+        "alarm_score": event.alarm_score,
     }
 
 

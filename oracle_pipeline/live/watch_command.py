@@ -158,8 +158,7 @@ def watch(
             alarms += isinstance(event, WindowAlarm | ContractAlarm)
             if page is not None:
                 page.show(event)
-            lines = _as_json(event) if file_format == "json" else _as_text(event, watching)
-            for line in lines:
+            for line in lines_of(event, watching, file_format):
                 click.echo(line)
     dropped = watching.losses.lost.total()
     click.echo(f"{watching.received} messages received, {dropped} dropped.", err=True)
@@ -225,6 +224,12 @@ def _page(port: int) -> "LivePage":
     page = LivePage(port)
     click.echo(f"Page: {page.address}", err=True)
     return page
+
+
+def lines_of(event: "Event", watching: "Watch", file_format: str) -> Iterator[str]:
+    """Yield the lines of an event; a name with a newline cannot forge one."""
+    lines = _as_json(event) if file_format == "json" else _as_text(event, watching)
+    return (line.replace("\n", "\\n") for line in lines)
 
 
 def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:

@@ -34,6 +34,7 @@ class WindowVerdict:
     evidence: tuple[Evidence, ...] = ()  # the features farthest from usual
     latency_s: float = 0.0  # wall time from the end of the window to the verdict
     timed: bool = True  # whether features of rate and timing counted
+    alarm_score: float = 0.0  # above it, one window raises an alarm by itself
 
 
 class WindowScorer:
@@ -79,15 +80,17 @@ class WindowScorer:
         """Judge a window by its row of features."""
         score = float(self._scorer.window_scores(row)[0])
         higher = len(self._normal) - int(np.searchsorted(self._normal, score))
+        rule = self._watch.rule
         alarm = self._watch.feed(end_s, score, self._scorer.window_families(row)[0])
         return WindowVerdict(
             start_s=float(row[WINDOW_START].iloc[0]),
             end_s=end_s,
             score=score,
             p_value=(1 + higher) / (1 + len(self._normal)),
-            is_usual=score <= self._watch.rule.allowance,
+            is_usual=score <= rule.allowance,
             alarm=alarm is not None,
             evidence=self._evidence(row),
+            alarm_score=rule.allowance + rule.threshold * rule.reach[0],
         )
 
     def _evidence(self, row: pd.DataFrame) -> tuple[Evidence, ...]:

@@ -34,7 +34,7 @@ def verdict(number: int, *, alarm: bool = False) -> WindowVerdict:
     score, p = (9.0, 0.01) if alarm else (0.1 * number, 0.6)
     return WindowVerdict(
         start_s=start_s, end_s=start_s + WINDOW_S, score=score, p_value=p, is_usual=not alarm,
-        alarm=alarm, evidence=evidence,
+        alarm=alarm, evidence=evidence, alarm_score=4.0,
     )  # fmt: skip
 
 

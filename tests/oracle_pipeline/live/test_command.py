@@ -7,9 +7,14 @@ import pytest
 from click.testing import CliRunner
 
 from oracle_pipeline.cli import main
+from oracle_pipeline.live.events import ContractAlarm, Note, WindowAlarm
 from oracle_pipeline.live.recorder import Recorder
 from oracle_pipeline.live.split_bag import Split
+from oracle_pipeline.live.watch_command import lines_of
+from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.scoring.card import ReferenceCard
+from oracle_pipeline.scoring.contract import Breach
+from oracle_pipeline.scoring.verdict import Evidence
 from sim.middleware.qos import DEFAULT
 from tests.oracle_pipeline.live.robots import STRING, TEXT
 
@@ -40,6 +45,17 @@ def test_a_missing_card_ends_with_2(tmp_path):
     done = CliRunner().invoke(main, ["watch", "--reference", str(tmp_path / "none.card")])
     assert done.exit_code == 2
     assert "oracle learn" in done.output
+
+
+def test_a_name_with_a_newline_forges_no_line():
+    name = "/a\nALARM in the window"
+    alarm = ContractAlarm(1.0, (Breach(name, f"Topic {name} is new."),))
+    evidence = Evidence("f", 9.0, False, 1.0, "m", 0.0, 0.1, name, 1.0)
+    window = WindowAlarm(WindowVerdict(0.0, 5.0, 9.0, 0.1, False, True, (evidence,)))
+    for event in (Note(name), alarm, window):
+        lines = list(lines_of(event, None, "text"))
+        assert lines
+        assert not any("\n" in line for line in lines)
 
 
 def test_watch_learns_a_card_from_all_pieces_of_its_folder_that_are_long_enough(domain, tmp_path):

@@ -65,6 +65,8 @@ def test_a_late_page_gets_the_whole_state_and_then_the_changes(served: LivePage)
         {"Origin": "http://evil.example"},
         {"Origin": "null"},
         {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "cors"},
+        {"Sec-Fetch-Site": "none", "Sec-Fetch-Mode": "cors"},  # an extension
+        {"Origin": "chrome-extension://abcdef"},
     ],
     ids=str,
 )
