@@ -24,7 +24,13 @@ from oracle_pipeline.checks.check_command import check
 from oracle_pipeline.comparison.compare_command import compare
 from oracle_pipeline.live.watch_command import recover, watch
 from oracle_pipeline.logs.import_command import import_logs
-from oracle_pipeline.options import format_option, output_option, plugins_option, rate_option
+from oracle_pipeline.options import (
+    detector_option,
+    format_option,
+    output_option,
+    plugins_option,
+    rate_option,
+)
 from oracle_pipeline.replay.replay_command import replay
 from oracle_pipeline.reporting.kinds_command import invariants, kinds, review
 
@@ -248,6 +254,7 @@ def _json(table: "Table", tables: "RecordingFeatures") -> str:
 )  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="Print one line for each recording not normal.")
 @click.option("-v", "--verbose", is_flag=True, help="Print a line for each unusual family too.")
+@detector_option
 @_roles
 @plugins_option
 @_strict
@@ -267,6 +274,7 @@ def score(
     suite: bool,
     quiet: bool,
     verbose: bool,
+    detector: str,
     roles: Path | None,
     plugins: Path | None,
     strict: bool,
@@ -308,7 +316,7 @@ def score(
 
     try:
         manager, choices = build_manager(plugins), _choices(roles)
-        normal = card_source(reference, manager, choices)
+        normal = card_source(reference, manager, choices, detector)
     except (OracleError, OSError) as error:
         write_junit([Verdict(str(path), "error", error=str(error)) for path in recordings])
         raise
@@ -374,9 +382,12 @@ def mcp(folder: Path) -> None:
 @click.argument("good", metavar="GOOD...", nargs=-1, required=True,
                 type=click.Path(path_type=Path, exists=True))  # fmt: skip
 @output_option("--output", "File to write, such as robot.card.", required=True)
+@detector_option
 @_roles
 @plugins_option
-def learn(good: tuple[Path, ...], output: Path, roles: Path | None, plugins: Path | None) -> None:
+def learn(
+    good: tuple[Path, ...], output: Path, detector: str, roles: Path | None, plugins: Path | None
+) -> None:
     """Write a reference card from normal recordings.
 
     GOOD is a run directory, a bag, a folder of these, a table of run features, or a root with
@@ -400,7 +411,7 @@ def learn(good: tuple[Path, ...], output: Path, roles: Path | None, plugins: Pat
             f"The name of the card must end with {SUFFIX}, such as {output}{SUFFIX}"
         )
     manager = build_manager(plugins)
-    card = learn_card(read_reference(good, manager, _choices(roles)))
+    card = learn_card(read_reference(good, manager, _choices(roles)), detector)
     card.save(output)
     click.echo(card_as_text(card))
     click.echo(f"Card: {output}")

@@ -13,6 +13,12 @@ plugins_option = click.option(
     help="Folder of feature plugins.  [default: $ORACLE_PLUGINS, if set]",
 )  # fmt: skip
 
+detector_option = click.option(
+    "--detector", default="", metavar="NAME",
+    help="Detector of plain statistics of all signals that scores in place of ours, such as pca, "
+    "isolation_forest or one of an installed package.",
+)  # fmt: skip
+
 
 def format_option(*formats: str, text: str) -> Callable[[Command], Command]:
     """Return the option for the output format; the first is the default."""

@@ -5,7 +5,7 @@ into verdicts with a known false positive rate.
 """
 
 from oracle_pipeline.detectors.base import Detector, DetectorError
-from oracle_pipeline.detectors.distances import Mahalanobis
+from oracle_pipeline.detectors.distances import BeyondRange, Mahalanobis
 from oracle_pipeline.detectors.explain import (
     Deviation,
     FamilyDeviation,
@@ -14,10 +14,17 @@ from oracle_pipeline.detectors.explain import (
     explain,
 )
 from oracle_pipeline.detectors.groups import LargestGroup, SignalScaler
-from oracle_pipeline.detectors.panel import DEFAULT_DETECTOR, panel, pipeline, upper_bounds
+from oracle_pipeline.detectors.panel import (
+    DEFAULT_DETECTOR,
+    named_detector,
+    panel,
+    pipeline,
+    upper_bounds,
+)
 
 __all__ = [
     "DEFAULT_DETECTOR",
+    "BeyondRange",
     "Detector",
     "DetectorError",
     "Deviation",
@@ -28,6 +35,7 @@ __all__ = [
     "UsualRanges",
     "by_family",
     "explain",
+    "named_detector",
     "panel",
     "pipeline",
     "upper_bounds",

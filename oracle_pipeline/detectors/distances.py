@@ -3,22 +3,92 @@
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.covariance import LedoitWolf
+from sklearn.decomposition import PCA
 from sklearn.neighbors import NearestNeighbors
 
 from oracle_pipeline.detectors.base import DetectorError, OwnDetector
 
+_MOST_WIDTHS = 3.0  # that one feature counts
+_LEAST_USUAL = 1e-9  # so that rows without variance have a scale
 
-class MaxZ(OwnDetector):
-    """The largest absolute z-score of any single feature.
+
+class LargestZ(OwnDetector):
+    """The mean of the largest absolute z-scores of single features.
 
     The rows are z-scores already (`FlooredRobustScaler`), so nothing is learned.
+
+    Parameters
+    ----------
+    count : int
+        Number of features that are averaged.
     """
+
+    def __init__(self, count: int = 1) -> None:
+        self.count = count
 
     def _learn(self, X: NDArray[np.float64]) -> None:
         """Learn nothing."""
 
     def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(np.abs(X).max(axis=1), dtype=np.float64)
+        return np.asarray(np.sort(np.abs(X), axis=1)[:, -self.count :].mean(axis=1), np.float64)
+
+
+class BeyondRange(OwnDetector):
+    """How far features are beyond the range of normal runs, in widths of that range.
+
+    The mean of the farthest few. In a distance from the mean, features that are spread among normal
+    runs hide those that are not; here what a normal run has reached counts nothing.
+
+    Parameters
+    ----------
+    count : int
+        Number of features that are averaged.
+
+    Attributes
+    ----------
+    low_, high_ : ndarray of shape (n_features,)
+        The range.
+    """
+
+    def __init__(self, count: int = 30) -> None:
+        self.count = count
+
+    def _learn(self, X: NDArray[np.float64]) -> None:
+        self.low_, self.high_ = X.min(axis=0), X.max(axis=0)
+
+    def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
+        width = self.high_ - self.low_
+        widths = np.maximum(self.low_ - X, X - self.high_) / np.where(width > 0.0, width, 1.0)
+        counted = np.sort(np.clip(widths, 0.0, _MOST_WIDTHS), axis=1)[:, -self.count :]
+        return np.asarray(counted.mean(axis=1), dtype=np.float64)
+
+
+class PrincipalComponents(OwnDetector):
+    """Hotelling's T2 and the squared residual Q, each over its mean among normal runs, added.
+
+    Parameters
+    ----------
+    explained : float
+        Share of the variance that the components keep.
+    """
+
+    def __init__(self, explained: float = 0.95) -> None:
+        self.explained = explained
+
+    def _learn(self, X: NDArray[np.float64]) -> None:
+        with np.errstate(invalid="ignore"):  # equal rows explain no share of no variance
+            self.components_ = PCA(self.explained, svd_solver="full").fit(X)
+        self.usual_ = np.maximum(self._parts(X).mean(axis=0), _LEAST_USUAL)
+
+    def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray((self._parts(X) / self.usual_).sum(axis=1), dtype=np.float64)
+
+    def _parts(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return T2 and Q of each row, shape (n_rows, 2)."""
+        along = self.components_.transform(X)
+        beside = X - self.components_.inverse_transform(along)
+        variance = np.maximum(self.components_.explained_variance_, _LEAST_USUAL)
+        return np.column_stack([(along**2 / variance).sum(axis=1), (beside**2).sum(axis=1)])
 
 
 class Mahalanobis(OwnDetector):

@@ -1,9 +1,11 @@
 """The compared detectors, in a fixed order, and the pipeline of scaler and detector.
 
 The panel is fixed in advance, because choosing among many by result overfits a small campaign.
-docs/explanation/detectors.md describes strengths and pitfalls of each.
+docs/explanation/detectors.md describes strengths and pitfalls of each. Detectors of installed
+packages follow: an entry point of the group `PLUGINS` names a class or function that returns one.
 """
 
+import importlib.metadata
 from collections.abc import Mapping
 
 from sklearn.base import ClassifierMixin
@@ -12,14 +14,19 @@ from sklearn.pipeline import Pipeline
 from sklearn.svm import OneClassSVM
 
 from oracle_pipeline.clustering.scaling import FlooredRobustScaler
-from oracle_pipeline.detectors.base import Detector
+from oracle_pipeline.detectors.base import Detector, DetectorError
 from oracle_pipeline.detectors.clusters import (
     DenseRegions,
     HacHeight,
     ReferenceDistance,
     SmallCluster,
 )
-from oracle_pipeline.detectors.distances import Mahalanobis, MaxZ, NearestRuns
+from oracle_pipeline.detectors.distances import (
+    LargestZ,
+    Mahalanobis,
+    NearestRuns,
+    PrincipalComponents,
+)
 from oracle_pipeline.detectors.guarded import (
     AmpleEllipticEnvelope,
     BestGaussianMixture,
@@ -27,6 +34,7 @@ from oracle_pipeline.detectors.guarded import (
 )
 
 DEFAULT_DETECTOR = "mahalanobis"  # docs/explanation/detectors.md gives the reasons
+PLUGINS = "oracle_pipeline.detectors"  # group of entry points
 
 
 def panel(seed: int) -> dict[str, Detector]:
@@ -37,7 +45,7 @@ def panel(seed: int) -> dict[str, Detector]:
         "small_cluster_size": SmallCluster(reading="size"),
         "reference_distance": ReferenceDistance(),
         "mahalanobis": Mahalanobis(),
-        "max_z": MaxZ(),
+        "max_z": LargestZ(),
         "knn": NearestRuns(n_neighbors=5),
         "ocsvm": OneClassSVM(nu=0.05),
         "isolation_forest": IsolationForest(n_estimators=300, random_state=seed),
@@ -45,7 +53,46 @@ def panel(seed: int) -> dict[str, Detector]:
         "lof": DistinctLocalOutlierFactor(n_neighbors=10, novelty=True),
         "hdbscan": DenseRegions(),
         "gmm": BestGaussianMixture(random_state=seed),
+        "pca": PrincipalComponents(),
+        "z_3": LargestZ(3),
+        "z_10": LargestZ(10),
+        **_plugged(),
     }
+
+
+def named_detector(name: str, seed: int) -> Detector:
+    """Return an unfitted detector of the panel.
+
+    Raises
+    ------
+    DetectorError
+        There is none of this name.
+    """
+    known = panel(seed)
+    if name not in known:
+        raise DetectorError(
+            f"There is no detector {name!r}; known are {', '.join(known)}. Others come with "
+            f"installed packages that have an entry point in the group {PLUGINS}."
+        )
+    return known[name]
+
+
+def _plugged() -> dict[str, Detector]:
+    """Return the detectors of installed packages, unfitted, by name."""
+    found = importlib.metadata.entry_points(group=PLUGINS)
+    return {point.name: _made(point) for point in sorted(found, key=lambda point: point.name)}
+
+
+def _made(point: importlib.metadata.EntryPoint) -> Detector:
+    try:
+        detector: Detector = point.load()()
+        detector.fit, detector.score_samples  # noqa: B018 -- LOF needs novelty=True to score
+    except Exception as error:
+        raise DetectorError(
+            f"The detector {point.name} ({point.value}) cannot be made: {error}. It must return an "
+            "unfitted estimator with fit and score_samples; correct or uninstall its package."
+        ) from error
+    return detector
 
 
 def upper_bounds(seed: int) -> dict[str, ClassifierMixin]:

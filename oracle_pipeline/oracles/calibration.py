@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.detectors.distances import MaxZ
+from oracle_pipeline.detectors.distances import LargestZ
 from oracle_pipeline.oracles.kind import OracleKind, TracedRuns
 from oracle_pipeline.scoring.cross_conformal import (
     FOLDS,
@@ -99,7 +99,7 @@ def _judge_by_votes(
     scores: NDArray[np.float64], runs: TracedRuns, normal: NDArray[np.bool_]
 ) -> KindScores:
     """Compute p-values from the votes of normal blocks; `scores` has shape (n_folds, n_runs)."""
-    votes = CrossConformalScorer(Design(MaxZ(), (), (), {}))  # only its folds and votes are used
+    votes = CrossConformalScorer(Design(LargestZ(), (), (), {}))  # only for its folds and votes
     votes.fold_, votes.block_ = _folds(runs.where(normal)), runs.block[normal]
     held_out = scores[votes.fold_, np.flatnonzero(normal)]
     votes.held_out_ = held_out

@@ -4,7 +4,8 @@ A card is a ZIP of JSON and Parquet: ``card.json`` describes the content, ``runs
 features of the normal recordings, ``models.parquet`` the fitted scorers, ``windows.parquet`` the
 scores of the normal windows. Reading a card executes nothing in it, and the checksums of the ZIP
 reveal damage. A card is read in a process with limits on time and memory, and all its parts are
-checked there, since it may come from anybody.
+checked there, since it may come from anybody. A detector that a user
+named is not in the file: it is fitted again.
 """
 
 import io
@@ -29,14 +30,21 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.json_schema import faults
 from oracle_pipeline.clustering.scaling import FlooredRobustScaler
 from oracle_pipeline.datasets import check_runs, is_malicious, parse_table, replacing, table_bytes
-from oracle_pipeline.detectors import LargestGroup, Mahalanobis, SignalScaler
+from oracle_pipeline.detectors import (
+    BeyondRange,
+    LargestGroup,
+    Mahalanobis,
+    SignalScaler,
+    named_detector,
+)
 from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.alarms import NormalWindows
 from oracle_pipeline.scoring.card_check import check_scorer
 from oracle_pipeline.scoring.contract import Contract
-from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
+from oracle_pipeline.scoring.cross_conformal import SEED, CrossConformalScorer
 from oracle_pipeline.scoring.isolation import Limits, run_isolated
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.run_scorer import Design, RunScorer
 
 VERSION = 6  # of the card format and of the windowing it was learned with
@@ -58,8 +66,7 @@ _OF_DETECTORS = {
     "groups": pa.list_(pa.string()),
     "components": pa.list_(pa.float32()),
     "variances": pa.list_(pa.list_(pa.float64())),
-    "noise": pa.list_(pa.float64()),
-    "typical": pa.list_(pa.float64()),
+    **dict.fromkeys(("noise", "typical", "location", "low", "high"), pa.list_(pa.float64())),
 }
 _OF_MODELS = pa.schema(
     {
@@ -68,7 +75,7 @@ _OF_MODELS = pa.schema(
         "level": pa.string(),
         **_OF_DETECTORS,
         **dict.fromkeys(("kept", "indicated"), pa.list_(pa.string())),
-        **dict.fromkeys(("center", "scale", "location", "reach"), pa.list_(pa.float64())),
+        **dict.fromkeys(("center", "scale", "reach"), pa.list_(pa.float64())),
     }
 )
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # fixed, so that the same card gives the same bytes
@@ -154,6 +161,22 @@ class ReferenceCard:
         """Topics of the recordings, and their roles; None without a contract."""
         return None if self.contract is None else self.contract.known
 
+    def by_detector(self, name: str) -> "ReferenceCard":
+        """Return this card if its detector has a name; any has the empty one.
+
+        Raises
+        ------
+        CardError
+            It was learned with another detector.
+        """
+        own = self.scorer.design.named
+        if name not in ("", own):
+            raise CardError(
+                f"The card was learned {f'with the detector {own}' if own else 'without a name'}, "
+                f"not with {name}; use `oracle learn --detector {name}`."
+            )
+        return self
+
     def card_for(self, _row: pd.DataFrame) -> "ReferenceCard":
         """Return this card: it covers one kind of system only."""
         return self
@@ -194,7 +217,7 @@ def _card(
     """Return the card from the content of its file."""
     contract, roles = facts["contract"], facts["roles"]
     scorers = {
-        name: _scorer(described, facts["floors"], models[name], windows[name])
+        name: _scorer(described, facts["floors"], models[name], windows[name], runs)
         for name, described in facts["scorers"].items()
     }
     return ReferenceCard(
@@ -274,7 +297,7 @@ def _value(scalar: pa.Scalar) -> Any:
 
 def _described(scorer: CrossConformalScorer) -> dict[str, Any]:
     return {
-        "detector": "mahalanobis",
+        "detector": scorer.design.named,
         "run_features": list(scorer.design.run_features),
         "window_features": list(scorer.design.window_features),
         "run_signals": list(scorer.design.run_signals),
@@ -300,6 +323,7 @@ def _models(scorers: Mapping[str, CrossConformalScorer]) -> list[dict[str, Any]]
             "reach": of_fold.reach_ if level == "windows" else None,
         }
         for name, scorer in scorers.items()
+        if not scorer.design.named
         for fold, of_fold in enumerate(scorer.scorers_)
         for level, model in of_fold.models_.items()
     ]
@@ -322,11 +346,14 @@ def _state(model: Pipeline) -> dict[str, Any]:
         "indicated": scaler.indicated_,
         "center": scaler.center_,
         "scale": scaler.scale_,
-        "location": detector.location_,
     }
+    if isinstance(scaler, SignalScaler):
+        state |= {"constant": scaler.is_constant_}
+    if isinstance(detector, BeyondRange):
+        return state | {"low": detector.low_, "high": detector.high_}
+    state |= {"location": detector.location_}
     if isinstance(detector, LargestGroup):
         return state | {
-            "constant": scaler.is_constant_,
             "groups": detector.groups,
             "components": np.concatenate([c.ravel() for c in detector.components_], dtype="f4"),
             "variances": [variances.tolist() for variances in detector.variances_],
@@ -340,16 +367,27 @@ def _state(model: Pipeline) -> dict[str, Any]:
 
 def _restored(state: Mapping[str, Any], floors: Mapping[str, float]) -> Pipeline:
     """Return the fitted scaler and detector from the values of `_state`."""
-    is_of_signals = state["precision"] is None
-    detector = _restored_groups(state) if is_of_signals else _restored_matrix(state)
-    detector.location_ = np.array(state["location"])
-    detector.n_features_in_ = len(detector.location_)
+    is_of_signals = state["constant"] is not None
+    detector = _restored_detector(state)
     scaler = SignalScaler(floors) if is_of_signals else FlooredRobustScaler(floors)
     if isinstance(scaler, SignalScaler):
         scaler.is_constant_ = np.array(state["constant"], dtype=np.bool_)
     scaler.kept_, scaler.indicated_ = list(state["kept"]), list(state["indicated"])
     scaler.center_, scaler.scale_ = np.array(state["center"]), np.array(state["scale"])
     return Pipeline([("scaler", scaler), ("detector", detector)])
+
+
+def _restored_detector(state: Mapping[str, Any]) -> BeyondRange | LargestGroup | Mahalanobis:
+    if state["low"] is not None:
+        of_range = BeyondRange()
+        of_range.low_, of_range.high_ = np.array(state["low"]), np.array(state["high"])
+        of_range.n_features_in_ = len(of_range.low_)
+        return of_range
+    is_matrix = state["precision"] is not None
+    detector = _restored_matrix(state) if is_matrix else _restored_groups(state)
+    detector.location_ = np.array(state["location"])
+    detector.n_features_in_ = len(detector.location_)
+    return detector
 
 
 def _restored_matrix(state: Mapping[str, Any]) -> Mahalanobis:
@@ -380,13 +418,16 @@ def _scorer(
     floors: Mapping[str, float],
     models: list[dict[str, Any]],
     windows: list[dict[str, Any]],
+    runs: pd.DataFrame,
 ) -> CrossConformalScorer:
+    named = described["detector"]
+    detector = named_detector(named, SEED) if named else Mahalanobis()
     run_features, window_features = described["run_features"], described["window_features"]
     scorer = CrossConformalScorer(
         Design(
-            Mahalanobis(), tuple(run_features), tuple(window_features), floors,
+            detector, tuple(run_features), tuple(window_features), floors,
             tuple(described["run_signals"]), tuple(described["window_signals"]),
-            tuple(described["levels"]),
+            tuple(described["levels"]), named,
         )
     )  # fmt: skip
     scorer.levels_ = tuple(described["levels"])
@@ -402,9 +443,17 @@ def _scorer(
         of_fold.models_ = {level: _restored(state, floors) for level, state in states.items()}
         if "windows" in states:
             of_fold.reach_ = np.array(states["windows"]["reach"])
+        if named:
+            of_fold.fit(_whole(runs).where(scorer.fold_ != fold))
         scorer.scorers_.append(of_fold)
     scorer.windows_ = _normal_windows(windows, scorer.block_) if window_features else None
     return scorer
+
+
+def _whole(runs: pd.DataFrame) -> MeasuredRuns:
+    """Return the recordings of a card, without their windows."""
+    windows = pd.DataFrame({"run_id": runs["run_id"], "window_start_s": 0.0})
+    return MeasuredRuns.ordered(runs, windows)
 
 
 def _normal_windows(rows: list[dict[str, Any]], block: NDArray[np.int64]) -> NormalWindows:

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from sklearn.pipeline import Pipeline
 from threadpoolctl import threadpool_limits
 
-from oracle_pipeline.detectors import LargestGroup, SignalScaler, explain
+from oracle_pipeline.detectors import BeyondRange, LargestGroup, SignalScaler, explain
 from oracle_pipeline.scoring.alarms import RATE_PER_H, NormalWindows
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.scoring.run_scorer import OF_FEATURES, OF_WINDOWS
+from oracle_pipeline.scoring.run_scorer import OF_WINDOWS
 
 TOLERANCE = 1e-3  # of a score that another processor computes, relative
 _FAR = 1e30  # beyond the clip of any scaler
@@ -47,8 +47,8 @@ def check_scorer(scorer: CrossConformalScorer, runs: pd.DataFrame) -> None:
     _check_numbers("held_out", scorer.held_out_, len(runs))
     _check_numbers("centre", scorer.centre_, len(design.levels))
     _check_numbers("spread", scorer.spread_, len(design.levels), above=0.0)
-    levels = {level for level in (*design.levels, *OF_FEATURES) if design.columns(level)}
-    for of_fold in scorer.scorers_:
+    levels = {level for level in (*design.levels, "windows") if design.columns(level)}
+    for of_fold in [] if design.named else scorer.scorers_:  # a named detector was fitted here
         _require(of_fold.models_.keys() == levels, "a fold has not the models of all levels")
         for level, model in of_fold.models_.items():
             _check_model(level, model, design.columns(level))
@@ -85,6 +85,10 @@ def _check_model(level: str, model: Pipeline, columns: Sequence[str]) -> None:
     width = len(kept) + len(indicated)
     _check_numbers("center", scaler.center_, len(kept))
     _check_numbers("scale", scaler.scale_, len(kept), above=0.0)
+    if isinstance(detector, BeyondRange):
+        _check_numbers("low", detector.low_, width)
+        _check_numbers("high above low", detector.high_ - detector.low_, width, above=-1e-300)
+        return
     _check_numbers("location", detector.location_, width)
     if not isinstance(detector, LargestGroup):
         precision = detector.precision_

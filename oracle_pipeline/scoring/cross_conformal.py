@@ -35,6 +35,7 @@ from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.run_scorer import Design, RunScorer
 
 FOLDS = 10
+SEED = 0  # of the folds, and of detectors that draw
 MIN_BLOCKS = 3  # two to fit on, one to hold out
 
 
@@ -59,7 +60,9 @@ class CrossConformalScorer:
     levels_ : tuple of str
         Levels of the score, `RunScorer.levels`.
     centre_, spread_ : ndarray of shape (n_levels,)
-        Median and scaled MAD of the held-out scores, which bring the levels to one scale.
+        They bring the levels to one scale: by scaled MAD or standard deviation of the held-out
+        scores, whichever is larger, so that a level with a few far normal runs hides no other. The
+        largest level of normal runs then has median 0 and scaled MAD 1.
     held_out_ : ndarray of shape (n_runs,)
         Score of each normal run by the scorer that was not fitted on it.
     windows_ : NormalWindows or None
@@ -105,9 +108,12 @@ class CrossConformalScorer:
             self.scorers_.append(scorer)
         assert by_level is not None  # noqa: S101 -- there are at least three folds
         self.levels_ = self.scorers_[0].levels
-        self.centre_ = np.median(by_level, axis=0)
-        deviation = MAD_TO_DEVIATION * np.median(np.abs(by_level - self.centre_), axis=0)
-        self.spread_ = np.where(deviation > 0.0, deviation, 1.0)
+        self.centre_, mad = _median_and_mad(by_level)
+        self.spread_ = np.maximum(mad, by_level.std(axis=0))
+        self.spread_[self.spread_ == 0.0] = 1.0
+        centre, mad = _median_and_mad(self._combined(by_level))
+        self.centre_ = self.centre_ + centre * self.spread_
+        self.spread_ = self.spread_ * np.where(mad > 0.0, mad, 1.0)
         self.held_out_ = self._combined(by_level)
         self.windows_ = None
         if self.design.window_features:
@@ -218,6 +224,12 @@ class CrossConformalScorer:
     def _combined(self, by_level: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the largest standardised level of each run, shape (n_runs,)."""
         return np.asarray(((by_level - self.centre_) / self.spread_).max(axis=1), dtype=np.float64)
+
+
+def _median_and_mad(scores: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Return median and scaled MAD of each column."""
+    centre = np.median(scores, axis=0)
+    return centre, MAD_TO_DEVIATION * np.median(np.abs(scores - centre), axis=0)
 
 
 def _split_unit(runs: MeasuredRuns) -> NDArray[np.int64]:

@@ -16,27 +16,27 @@ from oracle_pipeline.datasets import (
     is_malicious,
     signal_columns,
 )
-from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel
+from oracle_pipeline.detectors import DEFAULT_DETECTOR, named_detector, panel
 from oracle_pipeline.features import FeatureManager
 from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.card import ReferenceCard, is_card
 from oracle_pipeline.scoring.comparable import same_kind, shared_features
 from oracle_pipeline.scoring.contract import Contract, Observation
-from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
+from oracle_pipeline.scoring.cross_conformal import SEED, CrossConformalScorer
 from oracle_pipeline.scoring.feature_sets import ASPECTS, feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.reference import Reference, read_reference
 from oracle_pipeline.scoring.run_scorer import (
     OF_FEATURES,
     OF_SIGNALS,
+    PLAIN,
     Design,
     common_length,
 )
 from oracle_pipeline.scoring.selection import counted, without_odd
 from oracle_pipeline.scoring.verdict import ScoringError
 
-SEED = 0  # of the folds
 LONG = 20  # windows of a recording; in a shorter one, signals of the whole show a short fault
 COMMON_SIGNAL = 0.8  # least share of the rows in which a signal is, to be compared
 WINDOWS_UNKNOWN = (
@@ -45,10 +45,16 @@ WINDOWS_UNKNOWN = (
 )
 
 
-def learn(reference: Reference) -> ReferenceCard:
+def learn(reference: Reference, detector: str = "") -> ReferenceCard:
     """Learn what is normal from the normal runs of a reference.
 
     Copies count once, and recordings that are unlike all others are set aside (`selection`).
+
+    Parameters
+    ----------
+    reference : Reference
+    detector : str
+        Name of a detector that scores alone; empty for ours.
 
     Raises
     ------
@@ -56,14 +62,14 @@ def learn(reference: Reference) -> ReferenceCard:
         There are too few normal runs, or they have no feature.
     """
     reference = counted(reference)
-    card = _learned(reference)
+    card = _learned(reference, detector)
     held_out = pd.Series(card.scorer.held_out_, index=card.runs["run_id"])
     scores = held_out.loc[reference.table["run_id"]].to_numpy(dtype=np.float64)
     remaining = without_odd(reference, np.array(scores))
-    return card if remaining is None else _learned(remaining)
+    return card if remaining is None else _learned(remaining, detector)
 
 
-def _learned(reference: Reference) -> ReferenceCard:
+def _learned(reference: Reference, detector: str) -> ReferenceCard:
     """Learn from all runs of a reference."""
     notes = []
     table, windows = reference.table, reference.windows
@@ -71,8 +77,8 @@ def _learned(reference: Reference) -> ReferenceCard:
         notes.append(WINDOWS_UNKNOWN)
         windows = pd.DataFrame({"run_id": table["run_id"], "window_start_s": 0.0})
     runs = MeasuredRuns.ordered(table, windows)
-    scorer = learned_scorer(runs)
-    sets = feature_sets(runs.features)
+    scorer = learned_scorer(runs, detector=detector)
+    sets = {} if detector else feature_sets(runs.features)
     aspects = {name: learned_scorer(runs, name) for name in ASPECTS if name in sets}
     contract, breaching = None, None
     if reference.observations:
@@ -95,7 +101,9 @@ def _breaching(observations: Sequence[Observation], folds: Sequence[int]) -> int
     return count
 
 
-def learned_scorer(normal: MeasuredRuns, features: str = "all") -> CrossConformalScorer:
+def learned_scorer(
+    normal: MeasuredRuns, features: str = "all", detector: str = ""
+) -> CrossConformalScorer:
     """Return a scorer that is fitted on normal runs.
 
     Parameters
@@ -103,6 +111,8 @@ def learned_scorer(normal: MeasuredRuns, features: str = "all") -> CrossConforma
     normal : MeasuredRuns
     features : str
         Name of the set of features (`feature_sets`).
+    detector : str
+        Name of a detector that scores alone; empty for ours.
 
     Raises
     ------
@@ -110,6 +120,8 @@ def learned_scorer(normal: MeasuredRuns, features: str = "all") -> CrossConforma
         There are too few runs, or they have no feature.
     """
     scorer_design = design(normal, features)
+    if detector:
+        scorer_design = _of_detector(scorer_design, detector)
     with threadpool_limits(1, user_api="blas"):  # threads are slower on matrices this small
         return CrossConformalScorer(scorer_design).fit(normal, np.random.default_rng(SEED))
 
@@ -141,10 +153,18 @@ def _with_signals(of_features: Design, runs: MeasuredRuns) -> Design:
     fields = field_metadata(runs.features)
     knows_robot = any(fields[c].get("origin") != "generic" for c in of_features.run_features)
     is_long = common_length(runs.counts) >= LONG
-    levels = (*(OF_FEATURES if knows_robot else ()), *OF_SIGNALS[: 3 if is_long else 2])
+    levels = (*(OF_FEATURES if knows_robot else ()), *OF_SIGNALS[: 4 if is_long else 3])
     window_signals = common_signals(runs.windows) if is_long else ()
     return replace(
         of_features, run_signals=run_signals, window_signals=window_signals, levels=levels
+    )
+
+
+def _of_detector(ours: Design, name: str) -> Design:
+    """Return a design of one detector on plain statistics of signals, or else on features."""
+    level = PLAIN if ours.columns(PLAIN) else "run"
+    return replace(
+        ours, detector=named_detector(name, SEED), named=name, levels=(level,), window_features=()
     )
 
 
@@ -156,18 +176,18 @@ def common_signals(table: pd.DataFrame) -> tuple[str, ...]:
 
 
 def card_source(
-    path: Path, manager: FeatureManager, choices: RoleChoices | None = None
+    path: Path, manager: FeatureManager, choices: RoleChoices | None = None, detector: str = ""
 ) -> "ReferenceCard | Cards":
     """Return a card from its file, or cards that are learned from normal runs at a path.
 
     Raises
     ------
     OracleError
-        There is neither.
+        There is neither, or the card is that of another detector than the one named.
     """
     if is_card(path):
-        return ReferenceCard.load(path)
-    return Cards(read_reference([path], manager, choices))
+        return ReferenceCard.load(path).by_detector(detector)
+    return Cards(read_reference([path], manager, choices), detector)
 
 
 class Cards:
@@ -179,10 +199,13 @@ class Cards:
     Parameters
     ----------
     reference : Reference
+    detector : str
+        As for `learn`.
     """
 
-    def __init__(self, reference: Reference) -> None:
+    def __init__(self, reference: Reference, detector: str = "") -> None:
         self._reference = reference
+        self._detector = detector
         self._cards: dict[frozenset[str], ReferenceCard] = {}
 
     @property
@@ -208,7 +231,7 @@ class Cards:
         columns, _ = shared_features(row, table, feature_sets(table).get("all", []))
         kind = frozenset(column.split(".", 1)[0] for column in columns)
         if kind not in self._cards:
-            self._cards[kind] = learn(self._of_kind(columns))
+            self._cards[kind] = learn(self._of_kind(columns), self._detector)
         return self._cards[kind]
 
     def _of_kind(self, columns: Sequence[str]) -> Reference:

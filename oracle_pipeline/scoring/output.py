@@ -143,9 +143,11 @@ def card_as_text(card: ReferenceCard) -> str:
     """Describe the content of a card and the false positive rates that it supports."""
     runs, scorer = card.runs, card.scorer
     blocks, sessions = runs["block"].nunique(), runs["session"].nunique()
+    named = scorer.design.named
     lines = [
         f"Learned from {_count(len(runs), 'normal recording')}: {_count(blocks, 'block')}, "
         f"{_count(sessions, 'session')}.",
+        *([f"Detector: {named}, on plain statistics of signals."] if named else []),
         f"Features: {len(scorer.design.run_features)} of whole recordings, "
         f"{len(scorer.design.window_features)} of windows.",
         f"Scores beside the verdict: {', '.join(card.aspects) or 'none'}.",
@@ -191,7 +193,7 @@ def _alarms_as_text(card: ReferenceCard) -> str:
     """Describe the rate of false alarms that the recordings support."""
     windows = card.scorer.windows_
     if windows is None:
-        return "No alarms within a recording: the recordings have no features of windows."
+        return "No alarms within a recording: windows are not compared."
     lowest = windows.lowest_rate()
     if lowest <= RATE_PER_H:
         return f"Alarms within a recording: at most {RATE_PER_H:g} false alarms per hour."

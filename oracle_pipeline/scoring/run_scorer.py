@@ -2,7 +2,8 @@
 
 These are levels with a score each. ``oracle_pipeline.scoring.cross_conformal`` combines them into
 one score and a p-value. Features are known quantities; signals are the numbers of any robot. Those
-count by their largest distance of any topic, and by the distance over all topics.
+count by their largest distance of any topic, by the distance over all topics, and by how far the
+farthest are beyond their range in normal runs.
 
 A window also has a score of its own for alarms: how far its most unusual features are beyond what
 normal windows reach. In a distance over all features, the few that a short attack changes are lost
@@ -20,11 +21,20 @@ from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 
 from oracle_pipeline.datasets import topic_of_signal
-from oracle_pipeline.detectors import Detector, LargestGroup, SignalScaler, pipeline
+from oracle_pipeline.detectors import (
+    BeyondRange,
+    Detector,
+    LargestGroup,
+    SignalScaler,
+    pipeline,
+)
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 OF_FEATURES = ("run", "windows")
-OF_SIGNALS = ("signals", "topics", "signal windows")
+OF_SIGNALS = ("signals", "topics", "range", "signal windows")
+_BY_TOPIC = ("topics", "signal windows")
+PLAIN = "plain"  # level of a detector that a user named, alone
+PLAIN_STATISTICS = ("mean", "std", "min", "max", "change")  # of signals, for it and for "range"
 OF_WINDOWS = ("windows", "signal windows")  # levels of windows; all others are of whole runs
 TOP_WINDOWS = 6  # number of highest window scores that are averaged for a run
 TOP_FEATURES = 3  # number of a window's most unusual features that are averaged for alarms
@@ -48,6 +58,8 @@ class Design:
         Columns of signals, of both tables.
     levels : sequence of str
         Levels of the score, those without columns left out.
+    named : str
+        Name of the detector if a user chose it; it then scores alone.
     """
 
     detector: Detector
@@ -57,6 +69,7 @@ class Design:
     run_signals: Sequence[str] = ()
     window_signals: Sequence[str] = ()
     levels: Sequence[str] = OF_FEATURES
+    named: str = ""
 
     @property
     def uses_features(self) -> bool:
@@ -75,6 +88,8 @@ class Design:
 
     def columns(self, level: str) -> Sequence[str]:
         """Return the columns of a level."""
+        if level in (PLAIN, "range"):
+            return [c for c in self.run_signals if c.rpartition(".")[2] in PLAIN_STATISTICS]
         if level in OF_SIGNALS:
             return self.window_signals if level in OF_WINDOWS else self.run_signals
         return self.window_features if level in OF_WINDOWS else self.run_features
@@ -113,7 +128,7 @@ class RunScorer:
         design = self.design
         self.windows_counted_ = common_length(runs.counts)
         self.models_: dict[str, Pipeline] = {}
-        for level in dict.fromkeys((*design.levels, *OF_FEATURES)):  # alarms need those of windows
+        for level in dict.fromkeys((*design.levels, "windows")):  # alarms need those
             if columns := design.columns(level):
                 table = runs.windows if level in OF_WINDOWS else runs.features
                 self.models_[level] = self._fitted(level, _select(table, columns))
@@ -184,7 +199,9 @@ class RunScorer:
             return pipeline(clone(self.design.detector), self.design.floors).fit(table)
         scaler = SignalScaler(self.design.floors).fit(table)
         topics = [topic_of_signal(column) for column in scaler.kept_]
-        detector = LargestGroup(None if level == "signals" else topics)
+        detector: Detector = LargestGroup(topics if level in _BY_TOPIC else None)
+        if level in (PLAIN, "range"):
+            detector = clone(self.design.detector) if level == PLAIN else BeyondRange()
         return Pipeline([("scaler", scaler), ("detector", detector.fit(scaler.transform(table)))])
 
     def _distances(self, windows: pd.DataFrame) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ import argparse
 import itertools
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
@@ -31,11 +31,10 @@ from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.learning import learned_scorer
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from tools.robotbench.baselines import BASELINES, PLAIN, scaled
 from tools.robotbench.sets import SETS, Case
 
+BASELINES = ("pca", "mahalanobis", "z_3", "z_10", "isolation_forest")  # as `--detector`
 FAR = 0.1  # nominal false positive rate
-_FOLDS = 10
 _HALVES = 10  # random halves for the false positive rate
 _BOOTSTRAPS = 2000
 _FEWEST_SESSIONS = 3  # so that splitting by session leaves enough to learn from
@@ -116,55 +115,26 @@ def _row(measured: Measured) -> Iterator[str]:
     abnormal = np.array([case.abnormal for case in measured.cases])
     sessions = measured.table["session"].to_numpy()
     normal, bad = np.flatnonzero(~abnormal), np.flatnonzero(abnormal)
-    signals = signal_columns(measured.table)
     yield f"{len(normal)} / {len(bad)}"
-    yield str(len(signals))
-    folds = _folds(sessions[normal])
-    of_normal, of_bad = _scored(lambda fit, new: _oracle(measured, fit, new), normal, bad, folds)
+    yield str(len(signal_columns(measured.table)))
+    of_normal, of_bad = _scored(measured, normal, bad)
     yield _auc_text(of_normal, of_bad, sessions[normal], sessions[bad])
     yield _false_positives(measured, normal)
-    plain = [column for column in signals if column.rpartition(".")[2] in PLAIN]
-    values = measured.table[plain].to_numpy(np.float64)
-    for baseline in BASELINES.values():
-        score = _on_values(values, baseline)
-        yield _auc_text(*_scored(score, normal, bad, folds), sessions[normal], sessions[bad])
+    for baseline in BASELINES:
+        scores = _scored(measured, normal, bad, baseline)
+        yield _auc_text(*scores, sessions[normal], sessions[bad])
     dose = np.array([case.dose for case in measured.cases])[bad]
     known = np.isfinite(dose)
     yield _response(of_bad[known], dose[known]) if known.sum() > 2 else ""
 
 
-def _folds(sessions: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the fold of each normal recording."""
-    units = np.unique(sessions, return_inverse=True)[1]
-    if units.max() + 1 < _FEWEST_SESSIONS:
-        units = np.arange(len(sessions))
-    order = np.random.default_rng(0).permutation(units.max() + 1)
-    return np.asarray(order[units] % min(_FOLDS, units.max() + 1), dtype=np.int64)
-
-
 def _scored(
-    score: Callable[[NDArray[np.intp], NDArray[np.intp]], Floats],
-    normal: NDArray[np.intp],
-    bad: NDArray[np.intp],
-    folds: NDArray[np.int64],
+    measured: Measured, normal: NDArray[np.intp], bad: NDArray[np.intp], detector: str = ""
 ) -> tuple[Floats, Floats]:
-    """Return scores of normal recordings by the other folds, and the medians of abnormal ones."""
-    held, others = np.empty(len(normal)), []
-    for fold in range(int(folds.max()) + 1):
-        out = folds == fold
-        scores = score(normal[~out], np.concatenate([normal[out], bad]))
-        held[out] = scores[: out.sum()]
-        others.append(scores[out.sum() :])
-    return held, np.median(others, axis=0)
-
-
-def _oracle(measured: Measured, fit: NDArray[np.intp], new: NDArray[np.intp]) -> Floats:
-    """Return the scores of `oracle score`, in the order of `new`."""
-    scorer = learned_scorer(measured.part(fit))
-    order = np.argsort(new)
-    scores = np.empty(len(new))
-    scores[order] = scorer.own_score(scorer.scores(_columns(scorer, measured.part(new))))
-    return scores
+    """Return scores of normal recordings by what was learned from the others, and of the others."""
+    scorer = learned_scorer(measured.part(normal), detector=detector)
+    scores = scorer.scores(_columns(scorer, measured.part(bad)))
+    return scorer.held_out_, scorer.own_score(scores)
 
 
 def _columns(scorer: CrossConformalScorer, runs: MeasuredRuns) -> MeasuredRuns:
@@ -174,16 +144,6 @@ def _columns(scorer: CrossConformalScorer, runs: MeasuredRuns) -> MeasuredRuns:
         runs.features.reindex(columns=["run_id", "block", *design.run_columns]),
         runs.windows.reindex(columns=["run_id", "window_start_s", *design.window_columns]),
     )
-
-
-def _on_values(
-    values: Floats, baseline: Callable[[Floats, Floats], Floats]
-) -> Callable[[NDArray[np.intp], NDArray[np.intp]], Floats]:
-    def score(fit: NDArray[np.intp], new: NDArray[np.intp]) -> Floats:
-        known = np.isfinite(values[fit]).any(axis=0)
-        return baseline(*scaled(values[np.ix_(fit, known)], values[np.ix_(new, known)]))
-
-    return score
 
 
 def _auc(normal: Floats, bad: Floats) -> float:

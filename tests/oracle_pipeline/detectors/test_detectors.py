@@ -12,7 +12,7 @@ from oracle_pipeline.detectors.clusters import (
     ReferenceDistance,
     SmallCluster,
 )
-from oracle_pipeline.detectors.distances import Mahalanobis, MaxZ, NearestRuns
+from oracle_pipeline.detectors.distances import LargestZ, Mahalanobis, NearestRuns
 from oracle_pipeline.detectors.guarded import (
     AmpleEllipticEnvelope,
     BestGaussianMixture,
@@ -27,7 +27,7 @@ def normal_runs(n=60, features=3, seed=0):
 
 
 def test_max_z_is_the_largest_absolute_value():
-    scores = MaxZ().fit(np.zeros((2, 3))).score_samples([[1.0, -4.0, 2.0], [0.0, 0.0, 0.5]])
+    scores = LargestZ().fit(np.zeros((2, 3))).score_samples([[1.0, -4.0, 2.0], [0.0, 0.0, 0.5]])
     assert scores.tolist() == [-4.0, -0.5]
 
 
@@ -120,7 +120,7 @@ def test_the_mixture_has_the_number_of_components_with_the_lowest_bic():
     ("detector", "rows", "text"),
     [
         (NearestRuns(n_neighbors=5), normal_runs(n=4), "4 runs are too few for 5 neighbours"),
-        (MaxZ(), normal_runs(n=1), "at least two"),
+        (LargestZ(), normal_runs(n=1), "at least two"),
         (DenseRegions(), normal_runs(n=4), "cannot form a cluster of 5"),
         (DistinctLocalOutlierFactor(novelty=True), np.repeat(normal_runs(n=20), 9, axis=0),
          "more than 20 distinct runs, there are 20"),
@@ -133,6 +133,6 @@ def test_too_few_runs_are_an_error_with_the_number_needed(detector, rows, text):
 
 
 def test_values_that_are_not_finite_are_an_error():
-    for detector in (MaxZ(), Mahalanobis(), HacHeight()):
+    for detector in (LargestZ(), Mahalanobis(), HacHeight()):
         with pytest.raises(ValueError, match="NaN"):
             detector.fit([[np.nan], [1.0]])

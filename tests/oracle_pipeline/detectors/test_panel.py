@@ -1,4 +1,4 @@
-"""Laws that every member of the panel keeps."""
+"""Laws that every member of the panel keeps, and a detector of an installed package."""
 
 import numpy as np
 import pandas as pd
@@ -8,30 +8,58 @@ from hypothesis import strategies as st
 from sklearn.base import clone, is_classifier, is_outlier_detector
 from threadpoolctl import threadpool_limits
 
-from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel, pipeline, upper_bounds
+from oracle_pipeline.detectors import (
+    DEFAULT_DETECTOR,
+    DetectorError,
+    named_detector,
+    panel,
+    pipeline,
+    upper_bounds,
+)
+from oracle_pipeline.detectors.panel import PLUGINS
 
 pytestmark = pytest.mark.slow
 
 MEMBERS = (
     "hac_height", "small_cluster_count", "small_cluster_size", "reference_distance", "mahalanobis",
     "max_z", "knn", "ocsvm", "isolation_forest", "elliptic_envelope", "lof", "hdbscan", "gmm",
+    "pca", "z_3", "z_10",
 )  # fmt: skip
 # No split and no pseudo-inverse sees what never varied in training (docs/explanation/detectors.md).
 BLIND_TO_CONSTANTS = {"isolation_forest", "elliptic_envelope"}
-every_member = pytest.mark.parametrize("name", MEMBERS)
+PLUGGED = "boundary"  # scikit-learn's own class, named by an entry point
+every_member = pytest.mark.parametrize("name", [*MEMBERS, PLUGGED])
 
 
 def normal_runs(n=80, features=5, seed=0):
     return np.random.default_rng(seed).normal(size=(n, features))
 
 
+def install(site, **points):
+    """Install a package with detectors into a folder."""
+    info = site / "more_detectors-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: more-detectors\nVersion: 1.0\n")
+    lines = [f"{name} = {place}" for name, place in points.items()]
+    (info / "entry_points.txt").write_text("\n".join([f"[{PLUGINS}]", *lines, ""]))
+    return str(site)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def plugged(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        site = tmp_path_factory.mktemp("site")
+        patch.syspath_prepend(install(site, **{PLUGGED: "sklearn.svm:OneClassSVM"}))
+        yield
+
+
 @pytest.fixture(scope="module")
-def fitted():
+def fitted(plugged):
     return {name: detector.fit(normal_runs()) for name, detector in panel(seed=0).items()}
 
 
 def test_the_panel_is_the_same_in_the_same_order_for_every_seed():
-    assert tuple(panel(0)) == tuple(panel(1)) == MEMBERS
+    assert tuple(panel(0)) == tuple(panel(1)) == (*MEMBERS, PLUGGED)
     assert DEFAULT_DETECTOR in MEMBERS
     assert {d.get_params()["random_state"] for d in panel(7).values() if "random_state" in
             d.get_params() and d.get_params()["random_state"] is not None} == {7}  # fmt: skip
@@ -96,6 +124,18 @@ def test_it_works_behind_the_scaler(name):
     oracle = pipeline(panel(0)[name], {"family.a": 0.01}).fit(df)
     assert oracle[0].floors == {"family.a": 0.01}
     assert np.isfinite(oracle.score_samples(df.iloc[:2])).all()
+
+
+@pytest.mark.parametrize("place", ["no.such:thing", "sklearn.svm:SVC", "builtins:dict"])
+def test_a_detector_that_cannot_score_is_named_with_its_package(place, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(install(tmp_path / "site", odd=place))
+    with pytest.raises(DetectorError, match=rf"odd \({place}\).* uninstall its package"):
+        panel(0)
+
+
+def test_an_unknown_detector_is_refused_with_those_that_exist():
+    with pytest.raises(DetectorError, match=f"no detector 'pac'; known are .*pca, .*{PLUGGED}"):
+        named_detector("pac", 0)
 
 
 def test_upper_bounds_are_classifiers_and_no_part_of_the_panel():

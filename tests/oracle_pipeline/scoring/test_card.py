@@ -47,6 +47,16 @@ def test_a_saved_and_loaded_card_gives_equal_scores(card, file):
     assert read.roles == card.roles
 
 
+def test_a_card_of_a_named_detector_gives_equal_scores_and_no_other_is_taken_for_it(tmp_path):
+    normal, new = runs(12, seed=0), runs(6, seed=1, modes=ATTACKED, effect=2.0)
+    scorer = learned_scorer(normal, detector="isolation_forest")
+    ReferenceCard(scorer, normal.features).save(tmp_path / "robot.card")
+    read = ReferenceCard.load(tmp_path / "robot.card").by_detector("isolation_forest")
+    np.testing.assert_array_equal(read.scorer.scores(new), scorer.scores(new))
+    with pytest.raises(CardError, match="with the detector isolation_forest, not with pca"):
+        read.by_detector("pca")
+
+
 def test_the_same_card_gives_the_same_bytes(card, file, tmp_path):
     card.save(tmp_path / "again.card")
     assert (tmp_path / "again.card").read_bytes() == file.read_bytes()

@@ -58,16 +58,21 @@ def test_learning_names_the_recording_that_is_unlike_the_others(place, learned, 
     assert odd == str(place / "spinning")
 
 
-def test_a_card_gives_the_verdicts_of_the_recordings_it_was_learned_from(place, learned):
+@pytest.mark.parametrize("chosen", [(), ("--detector", "pca")], ids=["ours", "pca"])
+def test_a_card_gives_the_verdicts_of_the_recordings_it_was_learned_from(place, chosen, tmp_path):
+    card = tmp_path / "robot.card"
+    oracle_learn(place / "good", "--output", card, *chosen)
     by_card, by_folder = (
         json.loads(
             oracle_score(
-                place / "spinning", "--reference", place / name, *FAR, "--format", "json", expect=1
+                place / "spinning", "--reference", reference, *FAR, *chosen, "--format", "json",
+                expect=1,
             ).stdout
         )["recordings"]
-        for name in ("robot.card", "good")
-    )
+        for reference in (card, place / "good")
+    )  # fmt: skip
     assert by_card == by_folder
+    assert by_card[0]["evidence"][0]["feature"].startswith("signals.") == bool(chosen)
 
 
 def test_recordings_are_scored_with_the_roles_that_the_card_was_learned_with(place, tmp_path):

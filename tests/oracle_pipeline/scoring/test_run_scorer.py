@@ -1,4 +1,4 @@
-"""Scores of windows for alarms: those few features count that are farthest out."""
+"""Scores of windows for alarms, and of runs by their levels: the few that are farthest count."""
 
 import numpy as np
 import pandas as pd
@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from oracle_pipeline.datasets import feature_columns, feature_floors
 from oracle_pipeline.detectors import panel
+from oracle_pipeline.scoring.learning import learned_scorer
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.run_scorer import TOP_FEATURES, Design, RunScorer
 from tests.oracle_pipeline.datasets.synthetic import campaign
@@ -44,3 +45,18 @@ def test_a_change_of_few_features_is_not_lost_among_many_others(times, others):
     windows = pd.concat([WINDOWS, more], axis=1)
     scorer = fitted(windows)
     np.testing.assert_allclose(scorer.alarm_scores(beyond(windows, scorer, times)), times)
+
+
+def test_what_leaves_its_range_is_not_hidden_by_a_hundred_signals_that_scatter():
+    rng = np.random.default_rng(3)
+    turned = np.concatenate([rng.uniform(1.0, 2.0, 40), rng.uniform(0.1, 0.3, 20)])
+    columns = {f"signals./noisy{j % 5}/{j}.mean": rng.standard_t(1.5, 60) for j in range(100)}
+    columns |= {f"signals./odom/{j}.mean": j * turned for j in range(1, 11)}
+    keys = {"run_id": [f"{n:02d}" for n in range(60)], "label": "normal", "block": np.arange(60)}
+    table = pd.DataFrame(keys | {"structural.nodes": rng.normal(size=60)} | columns)
+    table.attrs = {"fields": {"structural.nodes": {}}}
+    runs = MeasuredRuns.ordered(table, table[["run_id"]].assign(window_start_s=0.0))
+    normal, new = runs.where(np.arange(60) < 30), runs.where(np.arange(60) >= 30)
+    scorer = learned_scorer(normal)
+    scores = scorer.own_score(scorer.scores(new))
+    assert np.mean(np.subtract.outer(scores[10:], scores[:10]) > 0.0) > 0.9
