@@ -1,18 +1,37 @@
 """Entry points of the programs in the packages ``assets``, ``resources`` and ``sim``.
 
 These are common names. If another distribution or folder has a package of the same name, Python may
-import that one. This module explains such a clash in an error message.
+import that one. Where this module has been imported first, ours are found; if another one had been
+imported even before, an error message explains the clash.
 """
 
 import pkgutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 
 _OURS = ("assets", "resources", "sim")
 _ROOT = Path(__file__).parents[1]  # the folder of all our packages
+
+
+class _OwnPackages(MetaPathFinder):
+    """Finds our packages in the folder of this distribution, and nothing else."""
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return where one of our packages is; None for any other module."""
+        if path is None and name in _OURS:
+            return PathFinder.find_spec(name, [str(_ROOT)], target)
+        return None
+
+
+sys.meta_path.insert(0, _OwnPackages())
 
 
 def oracle_sim() -> None:

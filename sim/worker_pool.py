@@ -30,6 +30,7 @@ R = TypeVar("R")
 LIMIT = "ORACLE_JOB_TIMEOUT"  # environment variable [s]
 DEFAULT_LIMIT_S = 3600.0  # a run of ten simulated minutes takes less than one
 
+_FINDS_OURS = "oracle_pipeline.programs"  # our packages, in a folder with others of their names
 _END_TIMEOUT_S = 10.0  # of an idle worker
 
 
@@ -135,7 +136,7 @@ class _Worker:
 
     def __init__(self, module: str) -> None:
         context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload([module])
+        context.set_forkserver_preload([_FINDS_OURS, module])
         self._pipe, theirs = context.Pipe()
         arguments = (theirs, dict(os.environ))  # the fork server has those of its own start
         self._process = context.Process(target=_work, args=arguments, daemon=True)

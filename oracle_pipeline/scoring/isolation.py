@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import resource
 import signal
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -47,6 +48,7 @@ class Limits:
         return self.remedy or f"raise it ({option}), or split the recording"
 
 
+_FINDS_OURS = "oracle_pipeline.programs"  # our packages, where others have their names
 DEFAULT_LIMITS = Limits()
 
 
@@ -230,7 +232,8 @@ def _work(sender: Connection, work: Callable[[Path], object], path: Path, limits
 def _context(module: str) -> ForkServerContext:
     """Return the context; its server, if it does not run yet, imports what the module needs."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([module, "oracle_pipeline.features.warm_start"])
+    first = [_FINDS_OURS] if _FINDS_OURS in sys.modules else []  # as it is in this process
+    context.set_forkserver_preload([*first, module, "oracle_pipeline.features.warm_start"])
     return context
 
 
