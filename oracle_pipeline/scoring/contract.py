@@ -31,7 +31,7 @@ MARGIN = 0.05  # relative margin on the rates of normal recordings, and on share
 SILENCE_S = 1.0  # added to twice the longest silence of normal recordings, on a running robot [s]
 FEWEST_RECORDINGS = 5  # with a topic, before a field counts as constant, or the topic as a relay
 MOSTLY = 0.75  # share of a topic's messages that are copies in every recording, for a relay
-FEW = 2  # messages of a relay that may differ, if these are more than the margin
+FEW = 2  # messages of a relay, or of a steady topic, that may differ beyond the margin
 COUNT_MARGIN = 0.1  # relative margin on message counts per `SPAN_S`, in addition to 2 messages
 
 # ROS 2 tools append a suffix to some node names that differs between processes.
@@ -88,6 +88,8 @@ class Observation:
         Whether no message was lost; if not, rates and copies prove nothing.
     roles, instead : mapping of str to tuple of str
         Role -> its topics; and, where the reference knows others, the topics that may play it.
+    duration_s : float
+        How long it is [s]; a rate proves nothing in a recording of a few messages.
     """
 
     topics: Mapping[str, tuple[str, tuple[str, ...], float | None]]
@@ -98,6 +100,7 @@ class Observation:
     whole: bool = True
     roles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     instead: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    duration_s: float = math.inf
 
 
 class Observer:
@@ -151,6 +154,7 @@ class Observer:
             self.samples.constants(),
             self.fingerprints.relays(),
             not run.disturbances.loss(),
+            duration_s=max(duration_s, 1e-9),
         )
 
 
@@ -228,7 +232,8 @@ class Contract:
                 found.append(Breach(name, f"Topic {name} ({kind}) is new."))
             else:
                 found += _of_topic(name, terms, kind, qos)
-                found += _of_rate(name, terms, rate_hz) if rates and seen.whole else []
+                if rates and seen.whole:
+                    found += _of_rate(name, terms, rate_hz, seen.duration_s)
                 if kind in terms.types and name in seen.constants:
                     found += self._of_constants(name, seen.constants[name])
                 found += self._of_relay(name, seen) if seen.whole else []
@@ -402,13 +407,16 @@ def _of_topic(name: str, terms: TopicTerms, kind: str, qos: Sequence[str]) -> li
     return found
 
 
-def _of_rate(name: str, terms: TopicTerms, rate_hz: float | None) -> list[Breach]:
+def _of_rate(
+    name: str, terms: TopicTerms, rate_hz: float | None, duration_s: float
+) -> list[Breach]:
     if terms.lowest_hz is None or terms.highest_hz is None:
         return []
-    spread_hz = terms.highest_hz - terms.lowest_hz
+    spread_hz = terms.highest_hz - terms.lowest_hz + FEW / duration_s
     lowest_hz = terms.lowest_hz * (1.0 - MARGIN) - spread_hz
     highest_hz = terms.highest_hz * (1.0 + MARGIN) + spread_hz
-    if lowest_hz <= (rate_hz or 0.0) <= highest_hz:
+    too_few = rate_hz is None and lowest_hz * duration_s < FEWEST
+    if too_few or lowest_hz <= (rate_hz or 0.0) <= highest_hz:
         return []
     usual = _range(terms.lowest_hz, terms.highest_hz)
     return [Breach(name, f"Topic {name} has {rate_hz or 0.0:.3g} Hz instead of {usual} Hz.")]

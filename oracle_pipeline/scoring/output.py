@@ -12,7 +12,7 @@ from oracle_pipeline.scoring.alarms import RATE_PER_H
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.conformal import runs_needed
 from oracle_pipeline.scoring.outliers import outliers
-from oracle_pipeline.scoring.sentences import headline, rounded
+from oracle_pipeline.scoring.sentences import far_out, headline, rounded
 from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
 
 # From the best to the worst; the worst of a suite counts.
@@ -256,12 +256,14 @@ def paragraph(
     )
     yield from (f"    {caution}" for caution in verdict.cautions)
     told = headline(verdict)
-    if verdict.outcome in ("anomalous", "unsupported") and told not in verdict.contract:
+    is_normal = verdict.outcome == "normal"
+    shown = far_out(verdict) if is_normal else verdict.evidence
+    if told not in verdict.contract and (shown or not is_normal):
         yield f"    {told}"
     yield from (f"    {line}" for line in breaches(verdict, "--format json lists all"))
     yield from (f"    {line}" for line in beside(verdict))
-    if verdict.outcome != "normal":
-        yield from aligned_lines([HEADINGS, *map(cells, verdict.evidence)], indent="    ")
+    if shown or not is_normal:
+        yield from aligned_lines([HEADINGS, *map(cells, shown)], indent="    ")
     if verdict.outcome != "normal" and verbose:
         yield from (f"    {family_as_text(family)}" for family in verdict.families)
     yield from (f"    {remark}" for remark in _remarks(verdict) if remark not in shared)

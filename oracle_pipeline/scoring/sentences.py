@@ -10,6 +10,7 @@ from oracle_pipeline.datasets import SIGNALS, topic_of_signal
 from oracle_pipeline.scoring.verdict import Evidence, Verdict
 
 _ROUNDING = 1e-12  # below all that features resolve
+FAR_OUT = 10.0  # distance of a feature that is told with a normal verdict too [scales]
 _CLEAR = 0.5  # evidence with a phrase is preferred down to this share of the largest distance
 _AGAINST = " against "  # between two places
 
@@ -90,6 +91,8 @@ def headline(verdict: Verdict) -> str:
             f"It is another kind of system: {verdict.in_common:.0%} of roles, topics and types are "
             "those of the reference. Use a reference of this system."
         )
+    if verdict.outcome == "normal" and (far := far_out(verdict)):
+        return f"Normal as a whole, but far outside in one feature: {sentence(_clearest(far))}"
     if verdict.outcome == "normal":
         return "It behaved as the normal runs did."
     if verdict.contract and (verdict.outcome == "breach" or not verdict.evidence):
@@ -100,6 +103,11 @@ def headline(verdict: Verdict) -> str:
     if verdict.outcome == "unsupported":
         return f"Too few normal runs for a verdict. Most unusual: {told[0].lower()}{told[1:]}"
     return told
+
+
+def far_out(verdict: Verdict) -> tuple[Evidence, ...]:
+    """Return the features that are so far outside that even a normal verdict tells them."""
+    return tuple(each for each in verdict.evidence if abs(each.z) >= FAR_OUT)
 
 
 def sentence(evidence: Evidence) -> str:

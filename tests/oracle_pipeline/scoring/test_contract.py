@@ -125,6 +125,16 @@ def test_a_rate_out_of_range_is_a_breach_and_a_silent_topic_counts_as_0_hz():
     ]
 
 
+def test_a_recording_breaks_no_rate_that_it_is_too_short_to_show():
+    scan = NORMAL[1].topics["/scan"][:2]
+    few = with_topic("/scan", *scan, None)
+    assert breaches(**few, duration_s=2.0) == []
+    assert len(breaches(**few, duration_s=20.0)) == 1
+    slow = with_topic("/scan", *scan, 4.2)
+    assert breaches(**slow, duration_s=5.0) == []
+    assert len(breaches(**slow, duration_s=50.0)) == 1
+
+
 def test_a_topic_without_a_steady_rate_may_have_any():
     goal = NORMAL[1].topics["/goal"][:2]
     assert breaches(**with_topic("/goal", *goal, 50.0)) == []

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from oracle_pipeline.features import build_manager
+from oracle_pipeline.scoring.output import paragraph
 from oracle_pipeline.scoring.sentences import _PHRASES, headline, sentence
 from oracle_pipeline.scoring.verdict import Evidence, Verdict
 
@@ -84,3 +85,16 @@ def test_headline_prefers_what_people_understand_unless_another_is_much_farther(
 )
 def test_every_outcome_has_a_headline(verdict, told):
     assert told in headline(verdict)
+
+
+def test_normal_verdict_tells_what_is_far_outside():
+    near, far = evidence("noise.smooth", z=9.9), evidence("contextual.speed", z=-10.0)
+    verdict = Verdict("bag", "normal", p_value=0.5, suite_p_value=0.5, score=0.1)
+    for shown in ((near,), ()):
+        usual = replace(verdict, evidence=shown)
+        assert headline(usual) == "It behaved as the normal runs did."
+        assert not any("z" in line.split() for line in paragraph(usual))
+    lines = list(paragraph(replace(verdict, evidence=(far, near))))
+    assert "far outside in one feature: The robot drove at 2.5" in lines[1]
+    assert "contextual.speed" in lines[-2]
+    assert "noise.smooth" not in "".join(lines)
