@@ -19,6 +19,7 @@ from oracle_pipeline.scoring.output import (
     MOST_BREACHES,
     beside,
     breaches,
+    cards,
     cells,
     family_as_text,
     tally,
@@ -81,7 +82,7 @@ def write(
         headings=HEADINGS[:4],
         cells=cells,
         far=far,
-        notes=notes,
+        notes=[*cards(verdicts), *notes],
     )
     with replacing(path) as sink:
         sink.write(printable(page).encode())

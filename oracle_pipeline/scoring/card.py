@@ -8,6 +8,7 @@ checked there, since it may come from anybody. A detector that a user
 named is not in the file: it is fitted again.
 """
 
+import hashlib
 import io
 import json
 import textwrap
@@ -46,6 +47,7 @@ from oracle_pipeline.scoring.cross_conformal import SEED, CrossConformalScorer
 from oracle_pipeline.scoring.isolation import Limits, run_isolated
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.run_scorer import Design, RunScorer
+from oracle_pipeline.scoring.verdict import CardOrigin
 
 VERSION = 6  # of the card format and of the windowing it was learned with
 SUFFIX = ".card"
@@ -107,6 +109,8 @@ class ReferenceCard:
         Robots and topics that a roles file named; None without one.
     breaching : int or None
         Number of recordings that break the contract of the others; None without a contract.
+    origin : CardOrigin
+        Of the file, if it was loaded from one.
     """
 
     scorer: CrossConformalScorer
@@ -116,6 +120,7 @@ class ReferenceCard:
     aspects: Mapping[str, CrossConformalScorer] = field(default_factory=dict)
     roles: RoleChoices | None = None
     breaching: int | None = None
+    origin: CardOrigin = field(default_factory=CardOrigin)
 
     def save(self, path: str | Path) -> None:
         """Write the card atomically."""
@@ -133,6 +138,8 @@ class ReferenceCard:
             "notes": list(self.notes),
             "roles": None if self.roles is None else self.roles.document(),
             "breaching": self.breaching,
+            "release": self.origin.release,
+            "learned": self.origin.learned,
         }
         members = {_FACTS: json.dumps(facts, indent=1, allow_nan=False).encode(), **members}
         with replacing(Path(path)) as sink, zipfile.ZipFile(sink, "w") as archive:
@@ -228,6 +235,7 @@ def _card(
         scorers,
         None if roles is None else RoleChoices.of(roles),
         facts["breaching"],
+        CardOrigin(facts["sha256"], facts.get("release", ""), facts.get("learned", "")),
     )
 
 
@@ -235,6 +243,7 @@ def _read(
     path: Path,
 ) -> tuple[dict[str, Any], pd.DataFrame, _OfScorers, _OfScorers]:
     with path.open("rb") as source, zipfile.ZipFile(source) as archive:
+        digest = hashlib.file_digest(source, "sha256").hexdigest()
         facts = json.loads(_member(archive, _FACTS, _LARGEST_FACTS))
         if facts["version"] != VERSION:
             raise CardError(
@@ -246,7 +255,7 @@ def _read(
             raise ValueError(f"{_FACTS}, {found[0].json_path}: {found[0].message}")
         runs, models, windows = (_table(archive, name) for name in (_RUNS, _MODELS, _WINDOWS))
     table = parse_table(runs, f"{path}/{_RUNS}")
-    return facts, table, _rows(models, _OF_MODELS), _rows(windows, _OF_WINDOWS)
+    return facts | {"sha256": digest}, table, _rows(models, _OF_MODELS), _rows(windows, _OF_WINDOWS)
 
 
 def _member(archive: zipfile.ZipFile, name: str, largest: int) -> bytes:

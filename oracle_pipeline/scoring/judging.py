@@ -31,7 +31,13 @@ from oracle_pipeline.scoring.evidence import farthest_features
 from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS, Extracted, Limits, extract_isolated
 from oracle_pipeline.scoring.likeness import LEAST, likeness
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.scoring.verdict import AspectScore, Judgement, ScoringError, Verdict
+from oracle_pipeline.scoring.verdict import (
+    AspectScore,
+    CardOrigin,
+    Judgement,
+    ScoringError,
+    Verdict,
+)
 from oracle_pipeline.windows import WINDOW_S
 
 _OF_ALL_TOPICS = "generic."  # prefix of features that sum or compare all topics
@@ -52,6 +58,10 @@ class CardSource(Protocol):
     @property
     def known(self) -> Known | None:
         """Topics of the normal runs, and their roles; None if only their features are known."""
+
+    @property
+    def origin(self) -> CardOrigin | None:
+        """Of the file of the card; None if there is none."""
 
     def card_for(self, row: pd.DataFrame) -> ReferenceCard:
         """Return the card to judge a recording by, given its run features."""
@@ -107,6 +117,7 @@ def score(
     ]
     if not hold_to_contract:
         verdicts = [replace(each, contract=()) for each in verdicts]
+    verdicts = [replace(each, card=reference.origin) for each in verdicts]
     return decide_suite(verdicts, far) if together else [decided(each, far) for each in verdicts]
 
 
@@ -216,7 +227,7 @@ def judge(
     OracleError
         The recording shares no feature with the card, has one in another unit, or is too short.
     """
-    return decided(_scored(recording, tables, card, seen), far)
+    return decided(replace(_scored(recording, tables, card, seen), card=card.origin), far)
 
 
 def _scored(

@@ -1,11 +1,11 @@
 """Outcomes as JUnit XML, for a CI system."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 from xml.etree import ElementTree
 
-from oracle_pipeline.scoring.output import paragraph
+from oracle_pipeline.scoring.output import cards, paragraph
 from oracle_pipeline.scoring.sentences import headline
 from oracle_pipeline.scoring.verdict import Verdict
 
@@ -25,7 +25,8 @@ class TestCase(NamedTuple):
 
 def as_junit(verdicts: Sequence[Verdict]) -> bytes:
     """Return JUnit XML with a test case for each recording; anomalous ones and breaches fail."""
-    return junit_document("oracle score", [_test_case(verdict) for verdict in verdicts])
+    cases = [_test_case(verdict) for verdict in verdicts]
+    return junit_document("oracle score", cases, {"reference": " ".join(cards(verdicts))})
 
 
 def _test_case(verdict: Verdict) -> TestCase:
@@ -37,7 +38,9 @@ def _test_case(verdict: Verdict) -> TestCase:
     return TestCase(verdict.recording, kind, "\n".join(text))
 
 
-def junit_document(command: str, cases: Sequence[TestCase]) -> bytes:
+def junit_document(
+    command: str, cases: Sequence[TestCase], properties: Mapping[str, str] | None = None
+) -> bytes:
     """Return the JUnit XML of one command's test cases; `command` is such as ``oracle score``."""
     kinds = [case.kind for case in cases]
     suite = ElementTree.Element(
@@ -47,6 +50,10 @@ def junit_document(command: str, cases: Sequence[TestCase]) -> bytes:
         failures=str(kinds.count("failure")),
         errors=str(kinds.count("error")),
     )
+    if properties:
+        of_suite = ElementTree.SubElement(suite, "properties")
+        for name, value in properties.items():
+            ElementTree.SubElement(of_suite, "property", name=name, value=_xml_text(value))
     for case in cases:
         element = ElementTree.SubElement(
             suite, "testcase", classname=command.replace(" ", "."), name=_xml_text(case.name)

@@ -12,7 +12,7 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.alarms import Alarm
-from oracle_pipeline.scoring.verdict import AspectScore, Evidence, Verdict
+from oracle_pipeline.scoring.verdict import AspectScore, CardOrigin, Evidence, Verdict
 
 VERSION = 2
 
@@ -86,5 +86,6 @@ def _verdict(document: Mapping[str, Any]) -> Verdict:
             "evidence": tuple(Evidence(**each) for each in document["evidence"]),
             "families": tuple(FamilyDeviation(*each) for each in document["families"]),
             **{name: tuple(document[name]) for name in ("notes", "cautions", "differences")},
+            "card": CardOrigin(**document["card"]) if document.get("card") else None,
         }
     )

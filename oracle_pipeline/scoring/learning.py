@@ -3,6 +3,8 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -35,8 +37,9 @@ from oracle_pipeline.scoring.run_scorer import (
     common_length,
 )
 from oracle_pipeline.scoring.selection import counted, without_odd
-from oracle_pipeline.scoring.verdict import ScoringError
+from oracle_pipeline.scoring.verdict import CardOrigin, ScoringError
 
+DISTRIBUTION = "ros2-behaviour-oracle"
 LONG = 20  # windows of a recording; in a shorter one, signals of the whole show a short fault
 COMMON_SIGNAL = 0.8  # least share of the rows in which a signal is, to be compared
 WINDOWS_UNKNOWN = (
@@ -88,7 +91,7 @@ def _learned(reference: Reference, detector: str) -> ReferenceCard:
         breaching = _breaching(observations, [fold_of[run_id] for run_id in table["run_id"]])
     return ReferenceCard(
         scorer, runs.features, contract, (*notes, *reference.notes), aspects, reference.roles,
-        breaching,
+        breaching, CardOrigin("", version(DISTRIBUTION), datetime.now(UTC).date().isoformat()),
     )  # fmt: skip
 
 
@@ -207,6 +210,11 @@ class Cards:
         self._reference = reference
         self._detector = detector
         self._cards: dict[frozenset[str], ReferenceCard] = {}
+
+    @property
+    def origin(self) -> CardOrigin | None:
+        """None: these cards are in no file."""
+        return None
 
     @property
     def notes(self) -> tuple[str, ...]:

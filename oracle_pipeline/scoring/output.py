@@ -126,7 +126,12 @@ def as_text(
     lines += [*shared, *notes[:_MOST_NOTES]]
     if (more := len(notes) - _MOST_NOTES) > 0:
         lines.append(f"and {_count(more, 'more note')} on the reference; --format json lists all.")
-    return "\n".join([*lines, ""])
+    return "\n".join([*lines, *cards(verdicts), ""])
+
+
+def cards(verdicts: Sequence[Verdict]) -> list[str]:
+    """Return a sentence on each reference card of some verdicts."""
+    return list(dict.fromkeys(str(each.card) for each in verdicts if each.card is not None))
 
 
 def _rule(judged: int, far: float, *, together: bool) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.bags.parts import is_recording
+from oracle_pipeline.bags.parts import NO_CHECKSUM, is_recording
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
 from oracle_pipeline.bags.terminal import printable, progress_bar
 from oracle_pipeline.datasets import KEYS, feature_dataset, read_table, window_dataset
@@ -126,7 +126,7 @@ def _extracted(
             continue
         unlabelled += not robots[0].has_manifest
         for recording, both, observation, has_manifest in robots:
-            notes += [f"{path}: {note}" for note in both.notes]
+            notes += [f"{path}: {note}" for note in both.notes if note != NO_CHECKSUM]
             if not has_manifest:  # the robots of one recording are one block
                 both = FeatureTables(
                     *(

@@ -46,6 +46,21 @@ class AspectScore:
 
 
 @dataclass(frozen=True, slots=True)
+class CardOrigin:
+    """The reference card that a verdict is based on; empty where it is not known."""
+
+    sha256: str = ""  # of the file
+    release: str = ""  # of the oracle that learned it
+    learned: str = ""  # day, ISO 8601
+
+    def __str__(self) -> str:
+        return (
+            f"Card: SHA-256 {self.sha256[:16]}, learned {self.learned or 'on an unknown day'} by "
+            f"release {self.release or 'unknown'}."
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Verdict:
     """The outcome for one recording with its basis; an error has no numbers."""
 
@@ -68,3 +83,4 @@ class Verdict:
     cautions: tuple[str, ...] = ()  # what a reader has to know before all else
     in_common: float | None = None  # share of roles, topics and types that the reference has too
     differences: tuple[str, ...] = ()  # of another system, the largest first
+    card: CardOrigin | None = None  # None: learned for this verdict
