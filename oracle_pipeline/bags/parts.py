@@ -8,7 +8,7 @@ import re
 import stat
 import tempfile
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -17,9 +17,12 @@ from oracle_pipeline.bags import bounded_yaml, mcap, rosbag1, sqlite
 from oracle_pipeline.bags.compression import ZSTD_MAGIC, unpacked_file
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import LARGEST_YAML
-from oracle_pipeline.bags.part import Part
+from oracle_pipeline.bags.part import Part, ros2_name
 
 METADATA = "metadata.yaml"
+NO_CHECKSUM = "This format has no checksum: a changed byte in a message cannot be noticed."
+_MOST_DIFFERENT = 5  # topics that are named
+_TOLERANCE_NS = 1_000_000_000  # between times of the metadata and of messages
 _LFS_POINTER = b"version https://git-lfs"  # begins the text that stands for a file in a repository
 
 _FORMATS: tuple[tuple[bytes, Callable[[Path, Path], Part]], ...] = (
@@ -69,6 +72,8 @@ def open_parts(path: Path) -> Parts:
     except BaseException:
         found.close()
         raise
+    if any(not isinstance(part, mcap.McapPart) for part in found.parts):
+        found.notes.append(NO_CHECKSUM)
     return found
 
 
@@ -137,6 +142,8 @@ def _open_folder(folder: Path, found: Parts) -> None:
             f"{METADATA} names {name}, which does not exist: its messages are missing."
             for name in absent
         ]
+        found.losses += _differing_counts(metadata.counts, _counts(found.parts))
+    found.notes += metadata.disagreements(found.parts)
     found.losses += errors
     found.parts.sort(key=lambda part: (part.extent.start_ns is None, part.extent.start_ns or 0))
 
@@ -202,12 +209,27 @@ def _counts(parts: list[Part]) -> Counter[str]:
     return counts
 
 
+def _differing_counts(claimed: Counter[str], read: Counter[str]) -> list[str]:
+    """Return a sentence on topics whose messages are not as many as the metadata claim."""
+    differing = sorted(name for name in claimed | read if claimed[name] != read[name])
+    if not claimed or not differing:
+        return []
+    named = [f"{name} {read[name]} of {claimed[name]}" for name in differing[:_MOST_DIFFERENT]]
+    more = len(differing) - len(named)
+    return [
+        f"{METADATA} claims {claimed.total()} messages, and the files have {read.total()}: "
+        f"{', '.join(named)}{f' and {more} more topics' if more > 0 else ''}."
+    ]
+
+
 class _Metadata:
     """Content of ``metadata.yaml``: names of parts, numbers of messages, and old bags' QoS."""
 
     def __init__(self, folder: Path) -> None:
         self.files: list[str] = []
         self.counts: Counter[str] = Counter()  # messages by topic
+        self._types: dict[str, str] = {}  # by topic
+        self._times_ns: tuple[int, int] | None = None  # of the first and the last message
         self.notes: list[str] = []
         self.qos: dict[str, str] = {}
         self.type_hashes: dict[str, str] = {}
@@ -231,11 +253,37 @@ class _Metadata:
         for topic in information.get("topics_with_message_count") or ():
             about = topic["topic_metadata"]
             self.counts[str(about["name"])] += int(topic["message_count"])
+            self._types[str(about["name"])] = ros2_name(str(about["type"]))
             profiles = about.get("offered_qos_profiles")
             if isinstance(profiles, str):
                 self.qos[str(about["name"])] = profiles
             if type_hash := about.get("type_description_hash"):
                 self.type_hashes[str(about["type"])] = str(type_hash)
+        if self.counts.total():
+            start_ns = int(information["starting_time"]["nanoseconds_since_epoch"])
+            end_ns = start_ns + int(information["duration"]["nanoseconds"])
+            self._times_ns = start_ns, end_ns
+
+    def disagreements(self, parts: list[Part]) -> Iterator[str]:
+        """Yield a note on each type or time that is not that of the files."""
+        for channel in (each for part in parts for each in part.channels.values()):
+            claimed = self._types.get(channel.topic, channel.msgtype)
+            if claimed != channel.msgtype:
+                yield (
+                    f"{METADATA} says that {channel.topic} has type {claimed}; it has "
+                    f"{channel.msgtype}."
+                )
+        starts = [part.extent.start_ns for part in parts if part.extent.start_ns is not None]
+        ends = [part.extent.end_ns for part in parts if part.extent.end_ns is not None]
+        if self._times_ns is None or not starts:
+            return
+        read = min(starts), max(ends)
+        for name, own, claimed_ns in zip(("first", "last"), read, self._times_ns, strict=True):
+            if abs(own - claimed_ns) > _TOLERANCE_NS:
+                yield (
+                    f"The {name} message is {abs(own - claimed_ns) / 1e9:.1f} s "
+                    f"{'later' if own > claimed_ns else 'earlier'} than {METADATA} says."
+                )
 
 
 def _one_line(error: Exception) -> str:

@@ -111,7 +111,8 @@ class Rosbag1Part:
         where = f"the chunk at byte {begin}"
         compression = header.get("compression", b"none").decode("utf-8", "replace")
         packed = self._read(begin, min(size, LARGEST_CHUNK))
-        declared = _number(header, "size")
+        # What is not compressed is as large as it is, whatever it declares.
+        declared = size if compression in ("", "none") else _number(header, "size")
         try:
             data = decompress(packed, compression, declared)
         except BagError as error:

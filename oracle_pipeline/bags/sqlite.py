@@ -4,6 +4,8 @@ The database itself is never opened for writing: one with a journal or a write-a
 is copied to a temporary folder and recovered there.
 """
 
+import itertools
+import mmap
 import os
 import shutil
 import sqlite3
@@ -11,7 +13,6 @@ import tempfile
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -20,6 +21,7 @@ from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import LARGEST_CHUNK, LARGEST_DEFINITION
 from oracle_pipeline.bags.part import Batch, Channel, Extent, add_channel, ros2_name, unpacked
 from oracle_pipeline.bags.records import Records
+from oracle_pipeline.bags.sqlite_pages import Row, page_size, rows_of_messages
 
 MAGIC = b"SQLite format 3\0"
 
@@ -80,37 +82,36 @@ class SqlitePart:
 
     def batches(self, wanted: Collection[int] | None = None) -> Iterator[Batch]:
         """Yield all messages in order of time; of a damaged database in order of storage."""
+        rows = self._rows(wanted) if self.claims else self._rows_of_pages()
+        try:
+            while held := _next_rows(rows):
+                yield from _batches(held)
+        except sqlite3.DatabaseError as error:
+            raise BagError(f"{self.path} is corrupt: {error}.") from error
+
+    def _rows(self, wanted: Collection[int] | None) -> Iterator[Row]:
         assert self._database is not None  # noqa: S101 -- as long as it is open
         topics = self.channels if wanted is None else wanted
         numbers = ",".join(str(number) for number in sorted(topics))
         filtered = "" if wanted is None else f"AND topic_id IN ({numbers})"
-        order = "timestamp, id" if self.claims else "id"
-        rows = self._database.execute(
+        yield from self._database.execute(
             f"SELECT topic_id, timestamp, data FROM messages WHERE {_SOUND} {filtered} "  # noqa: S608 -- numbers only
-            f"ORDER BY {order}"
+            "ORDER BY timestamp, id"
         )
-        while True:
-            held: list[tuple[Any, ...]] = []
-            size = 0
-            try:
-                while size < _BATCH_BYTES and len(held) < _BATCH_ROWS:
-                    row = rows.fetchone()
-                    if row is None:
-                        break
-                    held.append(row)
-                    size += len(row[2])
-            except sqlite3.DatabaseError as error:
-                if self.claims:
-                    raise BagError(f"{self.path} is corrupt: {error}.") from error
-                yield from _batches(held)
-                return
-            if not held:
-                return
-            yield from _batches(held)
+
+    def _rows_of_pages(self) -> Iterator[Row]:
+        """Yield the messages that are whole, although the trees of the database are not."""
+        with (
+            self._file.open("rb") as source,
+            mmap.mmap(source.fileno(), 0, access=mmap.ACCESS_READ) as file,
+        ):
+            yield from (row for row in rows_of_messages(file) if row[0] in self.channels)
 
     def _open(self, file: Path) -> sqlite3.Connection:
         """Open the database, or a copy of one that was not closed."""
-        if self._size % (page := _page_size(file)):
+        with file.open("rb") as source:
+            page = page_size(source.read(18))
+        if self._size % page:
             # SQLite would fill up the truncated page with zeros.
             copy = self._copy(file)
             os.truncate(copy, self._size - self._size % page)
@@ -130,6 +131,7 @@ class SqlitePart:
             name = quote(str(file).encode("utf-8", "surrogateescape"))
             database = sqlite3.connect(f"file:{name}?immutable=1&mode=ro", uri=True)
         database.execute("PRAGMA trusted_schema = OFF")
+        self._file = file
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_CHUNK)
         database.text_factory = lambda text: text.decode("utf-8", "replace")
         return database
@@ -186,15 +188,19 @@ class SqlitePart:
                 self.extent.add(batch)
 
 
-def _page_size(file: Path) -> int:
-    with file.open("rb") as source:
-        size = int.from_bytes(source.read(18)[16:], "big")
-    return 65_536 if size == 1 else size or 4096  # 65,536 does not fit into its two bytes
+def _next_rows(rows: Iterator[Row]) -> list[Row]:
+    """Return the rows of the next batch."""
+    held: list[Row] = []
+    size = 0
+    for row in itertools.islice(rows, _BATCH_ROWS):
+        held.append(row)
+        size += len(row[2])
+        if size >= _BATCH_BYTES:
+            break
+    return held
 
 
-def _batches(rows: list[tuple[Any, ...]]) -> Iterator[Batch]:
-    if not rows:
-        return
+def _batches(rows: list[Row]) -> Iterator[Batch]:
     channels, stamps_ns, messages = zip(*rows, strict=True)
     sizes = np.array([len(message) for message in messages], dtype=np.int64)
     joined = b"".join(messages)
