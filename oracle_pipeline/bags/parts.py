@@ -253,13 +253,14 @@ class _Metadata:
         for topic in information.get("topics_with_message_count") or ():
             about = topic["topic_metadata"]
             self.counts[str(about["name"])] += int(topic["message_count"])
-            self._types[str(about["name"])] = ros2_name(str(about["type"]))
+            if msgtype := about.get("type"):
+                self._types[str(about["name"])] = ros2_name(str(msgtype))
             profiles = about.get("offered_qos_profiles")
             if isinstance(profiles, str):
                 self.qos[str(about["name"])] = profiles
             if type_hash := about.get("type_description_hash"):
                 self.type_hashes[str(about["type"])] = str(type_hash)
-        if self.counts.total():
+        if self.counts.total() and {"starting_time", "duration"} <= information.keys():
             start_ns = int(information["starting_time"]["nanoseconds_since_epoch"])
             end_ns = start_ns + int(information["duration"]["nanoseconds"])
             self._times_ns = start_ns, end_ns

@@ -17,16 +17,17 @@ from oracle_pipeline.bags.limits import LARGEST_CHUNK
 _LEAF = 13  # type of a page with rows of a table
 _WIDTHS = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}  # bytes of an integer, by its type in a row
 
+Bytes: TypeAlias = bytes | mmap
 Row: TypeAlias = tuple[int, int, bytes]  # topic, stamp, data
 
 
-def page_size(head: bytes) -> int:
+def page_size(head: Bytes) -> int:
     """Return the size of a page, from the first bytes of a database."""
     size = int.from_bytes(head[16:18], "big")
     return 65_536 if size == 1 else size or 4096  # 65,536 does not fit into its two bytes
 
 
-def rows_of_messages(file: bytes | mmap) -> Iterator[Row]:
+def rows_of_messages(file: Bytes) -> Iterator[Row]:
     """Yield the rows of the table of messages that are whole, in order of storage.
 
     Parameters
@@ -48,14 +49,14 @@ def rows_of_messages(file: bytes | mmap) -> Iterator[Row]:
                 yield row
 
 
-def _cells(file: bytes | mmap, begin: int, page: int) -> list[int]:
+def _cells(file: Bytes, begin: int, page: int) -> list[int]:
     """Return where the rows of a page begin."""
     count = int.from_bytes(file[begin + 3 : begin + 5], "big")
     places = file[begin + 8 : begin + min(8 + 2 * count, page)]
     return [begin + int.from_bytes(places[n : n + 2], "big") for n in range(0, len(places), 2)]
 
 
-def _number(data: bytes, at: int) -> tuple[int, int]:
+def _number(data: Bytes, at: int) -> tuple[int, int]:
     """Return a number of variable length and its end; it has at most nine bytes."""
     value = 0
     for place, byte in enumerate(data[at : at + 9]):
@@ -67,7 +68,7 @@ def _number(data: bytes, at: int) -> tuple[int, int]:
     return value, at + 9
 
 
-def _row(file: bytes | mmap, at: int, page: int) -> tuple[int, Row | None]:
+def _row(file: Bytes, at: int, page: int) -> tuple[int, Row | None]:
     """Return the number of a row, and the row if it is whole and of a message."""
     size, at = _number(file, at)
     number, at = _number(file, at)
@@ -88,7 +89,7 @@ def _row(file: bytes | mmap, at: int, page: int) -> tuple[int, Row | None]:
     return number, (values[0], values[1], content[at : at + (kinds[3] - 12) // 2])
 
 
-def _content(file: bytes | mmap, at: int, size: int, page: int) -> bytes:
+def _content(file: Bytes, at: int, size: int, page: int) -> bytes:
     """Return the bytes of a row, with those on further pages, as far as these exist."""
     usable = page - file[20]
     if size <= usable - 35:

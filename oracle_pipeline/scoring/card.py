@@ -242,8 +242,9 @@ def _card(
 def _read(
     path: Path,
 ) -> tuple[dict[str, Any], pd.DataFrame, _OfScorers, _OfScorers]:
-    with path.open("rb") as source, zipfile.ZipFile(source) as archive:
+    with path.open("rb") as source:
         digest = hashlib.file_digest(source, "sha256").hexdigest()
+    with path.open("rb") as source, zipfile.ZipFile(source) as archive:
         facts = json.loads(_member(archive, _FACTS, _LARGEST_FACTS))
         if facts["version"] != VERSION:
             raise CardError(

@@ -84,6 +84,8 @@ class Observation:
         Topic -> field that never changes -> its value as text.
     relays : mapping of str to mapping
         Topic -> source -> how many of the topic's messages are copies of the source's.
+    losses : tuple of str
+        What of the recording could not be read.
     whole : bool
         Whether no message was lost; if not, rates and copies prove nothing.
     roles, instead : mapping of str to tuple of str
@@ -98,6 +100,7 @@ class Observation:
     constants: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     relays: Relays = field(default_factory=dict)
     whole: bool = True
+    losses: tuple[str, ...] = ()
     roles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     instead: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     duration_s: float = math.inf
@@ -154,6 +157,7 @@ class Observer:
             self.samples.constants(),
             self.fingerprints.relays(),
             not run.disturbances.loss(),
+            tuple(run.bag.losses),
             duration_s=max(duration_s, 1e-9),
         )
 

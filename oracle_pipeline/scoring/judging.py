@@ -204,7 +204,12 @@ def _judge_robot(extracted: Extracted, reference: CardSource) -> Verdict:
     recording, tables, seen, _ = extracted
     try:
         verdict = _scored(recording, tables, reference.card_for(tables.run), seen)
-        return replace(verdict, notes=(*tables.notes, *verdict.notes))
+        notes = [note for note in tables.notes if note not in seen.losses]
+        return replace(
+            verdict,
+            notes=(*notes, *verdict.notes),
+            cautions=(*seen.losses, *verdict.cautions),
+        )
     except (OracleError, OSError) as error:
         cautions = _moved(seen, reference.known)
         return Verdict(recording, "error", error=str(error), cautions=cautions)

@@ -1,7 +1,7 @@
 """Outcomes as JUnit XML, for a CI system."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 from xml.etree import ElementTree
 
@@ -26,7 +26,7 @@ class TestCase(NamedTuple):
 def as_junit(verdicts: Sequence[Verdict]) -> bytes:
     """Return JUnit XML with a test case for each recording; anomalous ones and breaches fail."""
     cases = [_test_case(verdict) for verdict in verdicts]
-    return junit_document("oracle score", cases, {"reference": " ".join(cards(verdicts))})
+    return junit_document("oracle score", cases, reference=" ".join(cards(verdicts)))
 
 
 def _test_case(verdict: Verdict) -> TestCase:
@@ -38,9 +38,7 @@ def _test_case(verdict: Verdict) -> TestCase:
     return TestCase(verdict.recording, kind, "\n".join(text))
 
 
-def junit_document(
-    command: str, cases: Sequence[TestCase], properties: Mapping[str, str] | None = None
-) -> bytes:
+def junit_document(command: str, cases: Sequence[TestCase], **properties: str) -> bytes:
     """Return the JUnit XML of one command's test cases; `command` is such as ``oracle score``."""
     kinds = [case.kind for case in cases]
     suite = ElementTree.Element(
@@ -50,10 +48,10 @@ def junit_document(
         failures=str(kinds.count("failure")),
         errors=str(kinds.count("error")),
     )
-    if properties:
-        of_suite = ElementTree.SubElement(suite, "properties")
-        for name, value in properties.items():
-            ElementTree.SubElement(of_suite, "property", name=name, value=_xml_text(value))
+    given = {name: value for name, value in properties.items() if value}
+    of_suite = ElementTree.SubElement(suite, "properties") if given else suite
+    for name, value in given.items():
+        ElementTree.SubElement(of_suite, "property", name=name, value=_xml_text(value))
     for case in cases:
         element = ElementTree.SubElement(
             suite, "testcase", classname=command.replace(" ", "."), name=_xml_text(case.name)

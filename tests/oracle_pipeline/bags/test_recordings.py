@@ -143,6 +143,36 @@ def test_a_renamed_recording_is_complete(tmp_path, write_bag):
         BagReader(bag)
 
 
+def test_what_metadata_claims_is_compared_with_what_is_read(tmp_path, write_bag):
+    bag = write_bag(tmp_path / "bag", "sqlite3")
+    whole = read(bag, strict=True)[0]
+    file, metadata = next(bag.glob("*.db3")), (bag / "metadata.yaml").read_text()
+    (bag / "metadata.yaml").write_text(metadata.replace("rosgraph_msgs/msg/Clock", "a_msgs/msg/A"))
+    with BagReader(bag) as reader:
+        assert "says that /clock has type a_msgs/msg/A; it has rosgraph" in " ".join(reader.notes)
+        assert " ".join(reader.notes).count("no checksum") == 1
+    (bag / "metadata.yaml").write_text(metadata)
+    with sqlite3.connect(file) as database:
+        database.execute("DELETE FROM messages WHERE id % 3 = 0")
+    messages, (loss,) = read(bag)
+    assert f"claims {len(whole)} messages, and the files have {len(messages)}: /" in loss
+    with pytest.raises(BagError, match=r"is incomplete\. metadata\.yaml claims"):
+        BagReader(bag, strict=True)
+    with sqlite3.connect(file) as database:
+        database.execute("UPDATE messages SET timestamp = timestamp + 5000000000")
+    with BagReader(bag) as reader:
+        assert "first message is 5.0 s later than metadata.yaml says" in " ".join(reader.notes)
+
+
+def test_an_uncompressed_ros1_chunk_is_as_large_as_it_is(tmp_path):
+    write_ros1(tmp_path / "a.bag", MESSAGES)
+    expected, data = read(tmp_path / "a.bag"), bytearray((tmp_path / "a.bag").read_bytes())
+    at = data.index(b"size=") + len(b"size=")
+    data[at : at + 4] = (2**31).to_bytes(4, "little")
+    (tmp_path / "a.bag").write_bytes(data)
+    assert read(tmp_path / "a.bag") == expected
+
+
 def test_a_git_lfs_pointer_is_refused_with_the_command_that_gets_the_bag(tmp_path):
     pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n"
     (tmp_path / "a.mcap").write_text(pointer)
@@ -210,7 +240,7 @@ def test_of_two_spellings_of_a_topic_one_is_read_and_the_other_reported(tmp_path
     with BagReader(tmp_path / "a.db3", strict=True) as bag:
         assert [tuple(m) for m in bag.messages()] == [("/odom", *rest) for _, *rest in bare]
         assert bag.message_count == bag.topics["/odom"].count == len(bare)
-        (note,) = bag.notes
+        note, _ = bag.notes
     assert note == (
         f"/odom was recorded as odom ({STRING}) and as /odom ({STRING}); the 2 messages of the "
         "latter are not used."

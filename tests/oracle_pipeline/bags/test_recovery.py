@@ -5,6 +5,7 @@ import sqlite3
 import struct
 from collections import Counter
 
+import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -89,6 +90,43 @@ def test_a_database_that_is_cut_anywhere(share, place):
     assert not Counter(messages) - Counter(many)
     assert len(messages) >= 0.8 * (share - 0.1) * len(many)
     assert len(messages) == len(many) or losses
+
+
+def test_a_cut_database_is_read_as_far_as_its_pages_go(tmp_path):
+    """The top of a deep tree is late in the file, where it is lost first."""
+    path, many = tmp_path / "a.db3", [m for i in range(50) for m in MESSAGES]
+    write_db3(path, MESSAGES[:1])
+    database = sqlite3.connect(path)
+    database.executescript("PRAGMA page_size = 512; VACUUM")
+    insert = "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, ?)"
+    rows = [(stamp, data * (40 if stamp % 7 else 1)) for _, stamp, data in many]
+    database.executemany(insert, rows)
+    database.commit()
+    database.close()
+    data, held = path.read_bytes(), Counter([(m[1], m[2]) for m in MESSAGES[:1]] + rows)
+    for share in (0.1, 0.3, 0.5, 0.7, 0.9):
+        path.write_bytes(data[: int(share * len(data))])
+        messages, _ = read(path)
+        assert not Counter((m[1], m[2]) for m in messages) - held
+        assert len(messages) >= (share - 0.03) * len(rows)
+
+
+@pytest.mark.parametrize("write", [write_db3, write_ros1])
+def test_a_flipped_or_cut_file_is_an_error_or_gives_messages(write, tmp_path):
+    write(tmp_path / "whole", MESSAGES)
+    whole, rng = (tmp_path / "whole").read_bytes(), np.random.default_rng(0)
+    for number in range(60):
+        damaged = bytearray(whole)
+        damaged[int(rng.integers(16, len(whole)))] ^= 1 << int(rng.integers(8))
+        cut = len(whole) if number % 2 else int(rng.integers(16, len(whole)))
+        (tmp_path / "a").write_bytes(damaged[:cut])
+        try:
+            messages, losses = read(tmp_path / "a")
+        except BagError as error:
+            told = str(error)
+            assert str(tmp_path / "a") in told
+        else:
+            assert len(messages) == 60 or losses
 
 
 @pytest.mark.parametrize("mode", ["WAL", "DELETE"])

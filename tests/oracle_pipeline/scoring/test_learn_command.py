@@ -2,7 +2,9 @@
 
 import json
 import re
+from hashlib import sha256
 from html import unescape
+from importlib.metadata import version
 
 import pytest
 from click.testing import CliRunner
@@ -71,6 +73,11 @@ def test_a_card_gives_the_verdicts_of_the_recordings_it_was_learned_from(place, 
         )["recordings"]
         for reference in (card, place / "good")
     )  # fmt: skip
+    (of_file,), (of_folder,) = (
+        [each.pop("card") for each in shown] for shown in (by_card, by_folder)
+    )
+    assert of_file["sha256"] == sha256(card.read_bytes()).hexdigest()
+    assert of_folder is None
     assert by_card == by_folder
     assert by_card[0]["evidence"][0]["feature"].startswith("signals.") == bool(chosen)
 
@@ -127,7 +134,10 @@ def test_another_robot_is_another_system_without_a_p_value(place, learned, tmp_p
     assert "1 of another system in" in text
     junit, page = ((tmp_path / name).read_text() for name in ("it.xml", "it.html"))
     assert "<error " in junit
+    card = recording["card"]
+    assert card["release"] == version("ros2-behaviour-oracle")
     for shown in (text, unescape(junit), unescape(page)):
+        assert f"SHA-256 {card['sha256'][:16]}, learned {card['learned']} by" in shown
         assert recording["summary"] in shown
         assert all(each in shown for each in differences)
 
