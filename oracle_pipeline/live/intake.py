@@ -17,7 +17,7 @@ from rosbags.interfaces import QosTime as _QosTime
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.dds_names import dds_topic
 from oracle_pipeline.bags.errors import DdsError
-from oracle_pipeline.bags.qos_profiles import compatible, is_latched
+from oracle_pipeline.bags.qos_profiles import compatible
 
 QUEUE_BYTES = 64 * 2**20  # of waiting messages, at most
 PACKETS_S = 1.0  # between two counts of lost packets, which take a millisecond each
@@ -94,10 +94,6 @@ class Intake:
         self._requested[topic] = qos
         self._names[reader] = topic
         self._ready.add(reader)
-
-    def is_latched(self, topic: str) -> bool:
-        """Return whether the subscription is latched, so it also gets earlier messages."""
-        return is_latched(self._requested[topic])
 
     def accepts(self, topic: str, offered: Qos) -> bool:
         """Return whether a publisher's QoS is compatible with our subscription's."""

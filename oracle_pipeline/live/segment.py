@@ -105,9 +105,8 @@ class Segment:
         self._check_contract()
 
     def disturb(self, losses: Disturbances) -> None:
-        """Take note that messages were lost or late since the newest one, until `settle`."""
-        since_s = PACKETS_S if losses.packets else 0.0
-        self.disturbances.begin(max(0.0, self.duration_s - since_s))
+        """Take note that messages were lost or late in the last second, and until `settle`."""
+        self.disturbances.begin(max(0.0, self.duration_s - PACKETS_S))
         self.disturbances.add(losses)
         if self._contract is not None:
             self._contract.forget()

@@ -24,6 +24,7 @@ from oracle_pipeline.live.discovery import Discovery, Endpoint
 from oracle_pipeline.live.events import ContractAlarm, Event, MessageReceived, Note, WindowAlarm
 from oracle_pipeline.live.intake import QUEUE_BYTES, Intake, Received
 from oracle_pipeline.live.judge_process import JudgeProcess
+from oracle_pipeline.live.machine import Machine
 from oracle_pipeline.live.recorder import Recorder
 from oracle_pipeline.live.segment import Segment
 from oracle_pipeline.live.split_bag import Message, Split
@@ -34,7 +35,6 @@ _SETTLE_S = 2.0  # from the first topic until discovery is taken to be complete
 _DISCOVERY_S = 0.1  # rosbag2 looks for new topics this often
 _FLUSH_S = 1.0  # of what is lost at most if the watch is killed
 _PAUSE_S = 0.05  # between two reads of the queue; waking up for each message costs more
-_LATE_S = 0.05  # by which a pause is too long, at least, if the machine is too busy
 _LATCHED = 20  # newest messages of a latched topic, with which another segment begins
 
 
@@ -120,6 +120,7 @@ class Watch:
         self._latched: dict[str, deque[Stamped]] = {}
         self._time = RobotTime(simulated=False)
         self._segment: Segment | None = None
+        self._machine = Machine()
         self._pending: deque[Event] = deque()
 
     def stop(self) -> None:
@@ -147,10 +148,10 @@ class Watch:
         self._settle()
         discovered = flushed = 0.0
         while not self._stopped:
-            late_s = self._pause()
+            is_busy = self._machine.pause(_PAUSE_S)
             before_ns = monotonic_ns()
             came = self._intake.take()
-            self._count_losses(late_s)
+            self._count_losses(is_busy=is_busy)
             if monotonic() - discovered >= _DISCOVERY_S:
                 discovered = monotonic()
                 self._discover()
@@ -166,12 +167,6 @@ class Watch:
             while self._pending:
                 yield self._pending.popleft()
         yield from self._finish()
-
-    def _pause(self) -> float:
-        """Let others work, and return how late this machine is with it [s]."""
-        began = monotonic()
-        sleep(_PAUSE_S)
-        return monotonic() - began - _PAUSE_S
 
     def _settle(self) -> None:
         """Wait until the nodes of the domain are known, and choose the time base."""
@@ -265,13 +260,13 @@ class Watch:
         if self._segment is not None and now_ns is not None:
             self._segment.advance_to(now_ns)
 
-    def _count_losses(self, late_s: float = 0.0) -> None:
-        """Take note of what was lost since the last call, and of being late."""
+    def _count_losses(self, *, is_busy: bool = False) -> None:
+        """Take note of what was lost since the last call, or is late."""
         new = Disturbances(self._intake.lost(), self._intake.lost_packets())
         self.losses.add(new)
         if told := new.loss():
             self._pending.append(Note(told))
-        if self._segment is not None and (told or late_s > _LATE_S):
+        if self._segment is not None and (told or is_busy):
             self._segment.disturb(new)
 
     # Segments.
