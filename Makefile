@@ -169,6 +169,7 @@ soak: setup-dev ## Kill everything at random moments, fill the disk, flip bits, 
 	python -m tools.soak.full_disk
 	python -m tools.soak.flips
 	python -m tools.soak.budget
+	python -m tools.soak.watch
 	python -m tools.soak.watching
 
 clean: ## Remove the environment and all caches; recorded data stay

@@ -220,7 +220,7 @@ def _started(domain: int, folder: Path, largest: int) -> Any:
 
     return subprocess.Popen(
         [Path(sys.executable).parent / "oracle", "watch", "--domain", str(domain), "--out", folder],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, preexec_fn=limit if largest else None,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, preexec_fn=limit if largest else None,
     )  # fmt: skip
 
 
