@@ -12,6 +12,7 @@ import shlex
 import sys
 import time
 import traceback
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,6 +34,7 @@ from oracle_pipeline.options import (
 )
 from oracle_pipeline.replay.replay_command import replay
 from oracle_pipeline.reporting.kinds_command import invariants, kinds, review
+from oracle_pipeline.scoring.card_command import card
 
 if TYPE_CHECKING:
     from oracle_pipeline.features import RecordingFeatures, Table
@@ -77,6 +79,7 @@ def main() -> None:
 
 
 main.add_command(import_logs)
+main.add_command(card)
 main.add_command(check)
 main.add_command(replay)
 main.add_command(watch)
@@ -243,9 +246,12 @@ def _json(table: "Table", tables: "RecordingFeatures") -> str:
     help="Memory limit for the features of one recording [GiB].",
 )  # fmt: skip
 @click.option(
-    "--contract/--no-contract", default=True, show_default=True,
-    help="Whether to compare topics, types, QoS, rates, constant fields, copies of messages and "
-    "the graph with the contract of the reference.",
+    "--contract", type=click.Path(path_type=Path, dir_okay=False, exists=True), metavar="FILE",
+    help="Contract to use instead of the card's, as `oracle card show --contract` prints it.",
+)  # fmt: skip
+@click.option(
+    "--no-contract", is_flag=True,
+    help="Compare no topics, types, QoS, rates, constant fields, copies and no graph.",
 )  # fmt: skip
 @click.option(
     "--suite", is_flag=True,
@@ -270,7 +276,8 @@ def score(
     page: Path | None,
     time_limit: float,
     memory_limit: float,
-    contract: bool,
+    contract: Path | None,
+    no_contract: bool,
     suite: bool,
     quiet: bool,
     verbose: bool,
@@ -302,6 +309,8 @@ def score(
     from oracle_pipeline.datasets import replacing
     from oracle_pipeline.features import build_manager
     from oracle_pipeline.scoring import judging, output
+    from oracle_pipeline.scoring.card import ReferenceCard
+    from oracle_pipeline.scoring.contract_file import read_contract
     from oracle_pipeline.scoring.isolation import Limits
     from oracle_pipeline.scoring.junit import as_junit
     from oracle_pipeline.scoring.learning import card_source
@@ -317,6 +326,10 @@ def score(
     try:
         manager, choices = build_manager(plugins), _choices(roles)
         normal = card_source(reference, manager, choices, detector)
+        if contract is not None:
+            if not isinstance(normal, ReferenceCard):
+                raise click.UsageError("--contract needs a card; write one with `oracle learn`.")
+            normal = replace(normal, contract=read_contract(contract))
     except (OracleError, OSError) as error:
         write_junit([Verdict(str(path), "error", error=str(error)) for path in recordings])
         raise
@@ -329,7 +342,7 @@ def score(
         limits,
         strict=strict,
         choices=choices,
-        hold_to_contract=contract,
+        hold_to_contract=not no_contract,
         together=suite,
     )
     if file_format == "json":
@@ -382,11 +395,17 @@ def mcp(folder: Path) -> None:
 @click.argument("good", metavar="GOOD...", nargs=-1, required=True,
                 type=click.Path(path_type=Path, exists=True))  # fmt: skip
 @output_option("--output", "File to write, such as robot.card.", required=True)
+@output_option("--contract", "File for the contract as YAML, to review and edit.")
 @detector_option
 @_roles
 @plugins_option
 def learn(
-    good: tuple[Path, ...], output: Path, detector: str, roles: Path | None, plugins: Path | None
+    good: tuple[Path, ...],
+    output: Path,
+    contract: Path | None,
+    detector: str,
+    roles: Path | None,
+    plugins: Path | None,
 ) -> None:
     """Write a reference card from normal recordings.
 
@@ -402,6 +421,7 @@ def learn(
     """  # noqa: D301 -- click reads the control character
     from oracle_pipeline.features import build_manager
     from oracle_pipeline.scoring.card import SUFFIX
+    from oracle_pipeline.scoring.contract_file import contract_as_yaml
     from oracle_pipeline.scoring.learning import learn as learn_card
     from oracle_pipeline.scoring.output import RATES, card_as_text, lowest_far
     from oracle_pipeline.scoring.reference import read_reference
@@ -413,6 +433,8 @@ def learn(
     manager = build_manager(plugins)
     card = learn_card(read_reference(good, manager, _choices(roles)), detector)
     card.save(output)
+    if contract is not None and card.contract is not None:
+        contract.write_text(contract_as_yaml(card.contract), encoding="utf-8")
     click.echo(card_as_text(card))
     click.echo(f"Card: {output}")
     rate = lowest_far(card)

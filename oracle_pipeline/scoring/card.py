@@ -16,7 +16,6 @@ import zipfile
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -43,6 +42,7 @@ from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.alarms import NormalWindows
 from oracle_pipeline.scoring.card_check import check_scorer
 from oracle_pipeline.scoring.contract import Contract
+from oracle_pipeline.scoring.contract_file import card_schema
 from oracle_pipeline.scoring.cross_conformal import SEED, CrossConformalScorer
 from oracle_pipeline.scoring.isolation import Limits, run_isolated
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
@@ -251,8 +251,7 @@ def _read(
                 f"{path} is a card of version {facts['version']}, but this release reads version "
                 f"{VERSION}; create it again with `oracle learn`."
             )
-        schema = json.loads(files(__package__).joinpath("card.schema.json").read_text("utf-8"))
-        if found := faults(facts, schema):
+        if found := faults(facts, card_schema()):
             raise ValueError(f"{_FACTS}, {found[0].json_path}: {found[0].message}")
         runs, models, windows = (_table(archive, name) for name in (_RUNS, _MODELS, _WINDOWS))
     table = parse_table(runs, f"{path}/{_RUNS}")

@@ -166,6 +166,27 @@ def card_as_text(card: ReferenceCard) -> str:
     return "\n".join(lines)
 
 
+def terms_as_text(card: ReferenceCard) -> list[str]:
+    """Return the roles and the contract of a card, a line for each role and each topic."""
+    if card.contract is None:
+        return []
+    roles = [f"    {role}: {', '.join(names)}" for role, names in card.contract.roles.items()]
+    rows = [
+        (
+            name,
+            " or ".join(terms.types),
+            "" if terms.lowest_hz is None else f"{terms.lowest_hz:.3g}-{terms.highest_hz:.3g} Hz",
+            "" if terms.always else "not in all recordings",
+            f"{len(fields)} constant fields"
+            if (fields := card.contract.constants.get(name))
+            else "",
+            f"copies {', '.join(of)}" if (of := card.contract.relays.get(name)) else "",
+        )
+        for name, terms in card.contract.topics.items()
+    ]
+    return ["Roles:", *roles, "Topics:", *aligned_lines(rows, indent="    ")]
+
+
 def lowest_far(card: ReferenceCard) -> float:
     """Return the lowest false positive rate at which a card supports a verdict, to 3 digits."""
     return math.ceil(1000.0 / (card.runs["block"].nunique() + 1)) / 1000.0

@@ -7,12 +7,16 @@ from html import unescape
 from importlib.metadata import version
 
 import pytest
+import yaml
 from click.testing import CliRunner
 
 from oracle_pipeline.cli import main
+from oracle_pipeline.scoring.card import ReferenceCard
+from oracle_pipeline.scoring.contract_file import ContractError, contract_as_yaml, read_contract
 from oracle_pipeline.scoring.likeness import LEAST
 from tests.oracle_pipeline.features.conftest import drive, write_bag
 from tests.oracle_pipeline.robots.recordings import IMU, JOINTS, bag_with
+from tests.oracle_pipeline.scoring.test_contract import CONTRACT
 from tests.oracle_pipeline.scoring.test_score_command import oracle_score, spinning
 
 pytestmark = pytest.mark.slow
@@ -152,6 +156,44 @@ def test_a_breach_of_the_contract_is_printed_before_the_statistics(place, learne
         "Topic /odom is gone: every normal recording has it.",
         "Topic /robot/odom (nav_msgs/msg/Odometry) is new.",
     ]
+
+
+def test_a_contract_can_be_shown_edited_and_used(place, tmp_path):
+    card, file = tmp_path / "robot.card", tmp_path / "contract.yaml"
+    oracle_learn(place / "good", "--output", card, "--contract", file)
+    shown = CliRunner().invoke(main, ["card", "show", str(card)]).stdout
+    assert f"SHA-256 {sha256(card.read_bytes()).hexdigest()[:16]}" in shown
+    for part in ("4 blocks", "rate of 0.2 or more", "odometry: /odom", "nav_msgs/msg/Odometry"):
+        assert part in shown
+    printed = CliRunner().invoke(main, ["card", "show", str(card), "--contract"]).stdout
+    assert printed == file.read_text()
+    assert read_contract(file) == ReferenceCard.load(card).contract
+    call = (place / "renamed", "--reference", card, *FAR, "--format", "json", "--contract", file)
+    (before,) = json.loads(oracle_score(*call, expect=1).stdout)["recordings"]
+    gone = "Topic /odom is gone: every normal recording has it."
+    assert gone in before["contract"]
+    edited = yaml.safe_load(printed)
+    edited["topics"]["/odom"]["always"] = False
+    file.write_text(yaml.safe_dump(edited))
+    done = CliRunner().invoke(main, ["score", *map(str, call)])
+    assert gone not in json.loads(done.stdout)["recordings"][0]["contract"]
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (lambda text: text.replace("always: true", "always: often", 1), r"always: 'often' is not"),
+        (lambda text: text.replace("paces:", "pace:"), "'paces' is a required property"),
+        (lambda text: text + "extra: 1\n", "it has extra; known are topics"),
+        (lambda _: "a: &x 1\nb: *x\n", "alias"),
+        (lambda _: "[", "not a contract"),
+    ],
+)
+def test_an_invalid_contract_is_refused_with_its_place(change, fault, tmp_path):
+    file = tmp_path / "contract.yaml"
+    file.write_text(change(contract_as_yaml(CONTRACT)))
+    with pytest.raises(ContractError, match=fault):
+        read_contract(file)
 
 
 def test_recordings_can_be_named_one_by_one(place, learned):
