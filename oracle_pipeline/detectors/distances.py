@@ -8,6 +8,7 @@ from sklearn.neighbors import NearestNeighbors
 
 from oracle_pipeline.detectors.base import DetectorError, OwnDetector
 
+_LEAST_WIDTH = 1.0  # of a range [scales]
 _MOST_WIDTHS = 3.0  # that one feature counts
 _LEAST_USUAL = 1e-9  # so that rows without variance have a scale
 
@@ -57,8 +58,8 @@ class BeyondRange(OwnDetector):
         self.low_, self.high_ = X.min(axis=0), X.max(axis=0)
 
     def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
-        width = self.high_ - self.low_
-        widths = np.maximum(self.low_ - X, X - self.high_) / np.where(width > 0.0, width, 1.0)
+        width = np.maximum(self.high_ - self.low_, _LEAST_WIDTH)
+        widths = np.maximum(self.low_ - X, X - self.high_) / width
         counted = np.sort(np.clip(widths, 0.0, _MOST_WIDTHS), axis=1)[:, -self.count :]
         return np.asarray(counted.mean(axis=1), dtype=np.float64)
 

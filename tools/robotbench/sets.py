@@ -8,7 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-_PART_S = {"kairos": 8.0, "arm": 15.0}  # long drives are cut into parts of this length
+from tools.robotbench.faults import FAULTS, Tables
+
+_PART_S = {"kairos": 8.0, "faults": 15.0, "arm": 15.0}  # length of the parts of long drives
 _UCI_STEP_S = 0.315 / 15
 _UCI_COLUMNS = ("fx", "fy", "fz", "tx", "ty", "tz")
 
@@ -20,6 +22,7 @@ class Case(NamedTuple):
     session: str  # recordings of one session are not independent
     abnormal: bool
     dose: float = np.nan  # how strong the fault is, where it is known
+    original: Path | None = None  # the recording that this one is an altered copy of
 
 
 def crazyflie(source: Path, _: Path) -> Iterator[Case]:
@@ -51,6 +54,25 @@ def kairos(source: Path, work: Path) -> Iterator[Case]:
     for drive in sorted(source.glob("*_plan*")):
         for part, _ in _parts(drive, work, "Time", _PART_S["kairos"]):
             yield Case(part, drive.name, drive.name.startswith("window"))
+
+
+def faulty_kairos(fault: Callable[[Tables], None]) -> Callable[[Path, Path], Iterator[Case]]:
+    """Return the loader of the same drives, all of them normal, with and without a fault."""
+
+    def load(source: Path, work: Path) -> Iterator[Case]:
+        for drive in sorted(source.glob("*_plan*")):
+            for part, _ in _parts(drive, work, "Time", _PART_S["faults"]):
+                yield Case(part, drive.name, abnormal=False)
+                altered = part.with_name(f"{part.name}_faulty")
+                altered.mkdir()
+                tables = {file.stem.rpartition("-")[2]: file for file in part.iterdir()}
+                content = {name: pd.read_csv(file) for name, file in tables.items()}
+                fault(content)
+                for name, table in content.items():
+                    table.to_csv(altered / tables[name].name, index=False)
+                yield Case(altered, drive.name, abnormal=True, original=part)
+
+    return load
 
 
 def arm(source: Path, work: Path) -> Iterator[Case]:
@@ -86,4 +108,5 @@ SETS: Mapping[str, tuple[str, str, Callable[[Path, Path], Iterator[Case]]]] = {
     **{f"uci_lp{n}": ("uci_arm", "arm, forces", uci_arm(n)) for n in (1, 2, 4, 5)},
     "arm": ("arm", "arm, motors", arm),
     "kairos": ("kairos", "wheeled", kairos),
+    **{name: ("kairos", "wheeled", faulty_kairos(fault)) for name, fault in FAULTS.items()},
 }
