@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
+from oracle_pipeline.checks.run import fault_sentences
 from oracle_pipeline.comparison.set_comparison import SetComparison, read_sets
 from oracle_pipeline.comparison.set_comparison import compare as compare_sets
 from oracle_pipeline.datasets import replacing
@@ -129,7 +130,9 @@ def score(
     cards: judging.CardSource = (
         reference if isinstance(reference, ReferenceCard) else card_source(Path(reference), manager)
     )
-    found = judging.score(_paths(recordings), cards, manager, far, together=together)
+    found = judging.score(
+        _paths(recordings), cards, manager, far, together=together, check=fault_sentences
+    )
     return Verdicts(tuple(found), far, cards.notes, together, manager)
 
 

@@ -306,6 +306,7 @@ def score(
         oracle score my_robot_bag/ --reference data --format json \\
             | jq '.recordings[0].evidence[0]'
     """  # noqa: D301 -- click reads the control character
+    from oracle_pipeline.checks.run import fault_sentences
     from oracle_pipeline.datasets import replacing
     from oracle_pipeline.features import build_manager
     from oracle_pipeline.scoring import judging, output
@@ -344,6 +345,7 @@ def score(
         choices=choices,
         hold_to_contract=not no_contract,
         together=suite,
+        check=fault_sentences,
     )
     if file_format == "json":
         click.echo(output.as_json(verdicts, far, normal.notes))

@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from oracle_pipeline.checks import times, values
-from oracle_pipeline.checks.topic import CheckedTopic, Fault, read_topics
+from oracle_pipeline.checks.topic import CheckedTopic, Fault, read_topics, topics_of
+from oracle_pipeline.features.engine.kept_messages import KeptMessages
+from oracle_pipeline.features.signals.collector import SignalCollector
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.robots.robot import find_robots
 
@@ -25,6 +27,7 @@ CHECKS: Mapping[str, Callable[[CheckedTopic], Iterator[Fault]]] = {
 }
 _MOST = 0.9  # of the topics with messages: a gap in these is one of the recording
 _FEWEST_TOPICS = 3
+_MOST_TOLD = 5  # faults that are told beside a verdict
 
 
 @np.errstate(invalid="ignore")  # recordings hold NaN and infinity
@@ -47,10 +50,26 @@ def check_recording(path: Path, *, strict: bool = False) -> list[Fault]:
         losses = [loss.rstrip(".") for loss in run.bag.losses]
         faults = [Fault("lost", "", "", 0.0, 0.0, 1.0, "1", 1, loss) for loss in losses]
         for robot in find_robots(run.bag):
-            topics = read_topics(robot)
-            found = [f for topic in topics for check in CHECKS.values() for f in check(topic)]
-            faults += _joined_gaps(found, topics)
-    return sorted(faults, key=lambda fault: (fault.start_s, fault.topic, fault.check))
+            faults += _faults(read_topics(robot))
+    return sorted(faults, key=_order)
+
+
+@np.errstate(invalid="ignore")
+def fault_sentences(recording: KeptMessages, collector: SignalCollector) -> list[str]:
+    """Return the faults of a recording that was read for its features, as sentences."""
+    found = sorted(_faults(topics_of(recording, collector)), key=_order)
+    told = [f"Check: {fault.topic or 'all topics'}: {fault.text}." for fault in found[:_MOST_TOLD]]
+    more = [f"`oracle check` tells {len(found) - _MOST_TOLD} more."] if found[_MOST_TOLD:] else []
+    return [*told, *more]
+
+
+def _faults(topics: list[CheckedTopic]) -> list[Fault]:
+    found = [f for topic in topics for check in CHECKS.values() for f in check(topic)]
+    return _joined_gaps(found, topics)
+
+
+def _order(fault: Fault) -> tuple[float, str, str]:
+    return fault.start_s, fault.topic, fault.check
 
 
 def _joined_gaps(faults: list[Fault], topics: list[CheckedTopic]) -> list[Fault]:

@@ -71,7 +71,11 @@ class CheckedSignal(NamedTuple):
 def read_topics(robot: Robot) -> list[CheckedTopic]:
     """Read the topics of a robot's recording, in the order of their names."""
     collector = SignalCollector(robot)
-    recording = KeptMessages.read(robot, (), see=collector.see)
+    return topics_of(KeptMessages.read(robot, (), see=collector.see), collector)
+
+
+def topics_of(recording: KeptMessages, collector: SignalCollector) -> list[CheckedTopic]:
+    """Return the topics of a recording whose messages a collector has seen."""
     window = recording.span(Span(0, recording.duration_ns), NO_GRAPH)
     by_topic: dict[str, list[Signals]] = {}
     for signals in collector.signals(recording.times_ns):

@@ -9,14 +9,14 @@ import os
 import resource
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.bags.merging import Messages
@@ -31,6 +31,8 @@ from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.contract import Observation, Observer
 
 T = TypeVar("T")
+#: Returns sentences on a recording whose messages it gets, and a collector that has seen them.
+Check: TypeAlias = Callable[[KeptMessages, SignalCollector], Sequence[str]]
 
 _GIB = 2**30
 
@@ -59,6 +61,7 @@ class Extracted(NamedTuple):
     tables: FeatureTables
     observation: Observation
     has_manifest: bool
+    faults: Sequence[str] = ()  # found by the check
 
 
 def extract_isolated(
@@ -70,6 +73,7 @@ def extract_isolated(
     choices: RoleChoices | None = None,
     known: Known | None = None,
     paced: bool = False,
+    check: Check | None = None,
 ) -> list[Extracted]:
     """Compute the features of a recording in another process.
 
@@ -89,6 +93,8 @@ def extract_isolated(
         Topics of the reference that the recording is compared with.
     paced : bool
         Whether to measure the paces of topics too.
+    check : callable, optional
+        Looks for faults that need no reference.
 
     Returns
     -------
@@ -107,6 +113,7 @@ def extract_isolated(
         choices=choices,
         known=known,
         paced=paced,
+        check=check,
     )
     return run_isolated(work, path, limits)
 
@@ -119,31 +126,42 @@ def extracted(
     choices: RoleChoices | None = None,
     known: Known | None = None,
     paced: bool = False,
+    check: Check | None = None,
 ) -> list[Extracted]:
     """Compute the features of a recording in this process; otherwise as `extract_isolated`."""
     with open_run(path, strict=strict) as run:
         manager = build_manager(plugins)
         return [
-            _of_robot(str(path), run, robot, manager, paced=paced)
+            _of_robot(str(path), run, robot, manager, check, paced=paced)
             for robot in find_robots(run.bag, choices, known)
         ]
 
 
 def _of_robot(
-    path: str, run: OpenedRun, robot: Robot, manager: FeatureManager, *, paced: bool
+    path: str,
+    run: OpenedRun,
+    robot: Robot,
+    manager: FeatureManager,
+    check: Check | None,
+    *,
+    paced: bool,
 ) -> Extracted:
     observer = Observer(robot.bag, paced=paced)
-    tables, length_s = _tables(run, robot, manager, observer)
+    tables, length_s, faults = _tables(run, robot, manager, observer, check)
     roles = {role: found.topics for role, found in robot.roles.found.items() if found.topics}
     seen = observer.observation(run, length_s)
     seen = replace(seen, roles=roles, instead=robot.instead)
-    return Extracted(of_robot(path, robot.name), tables, seen, run.manifest is not None)
+    return Extracted(of_robot(path, robot.name), tables, seen, run.manifest is not None, faults)
 
 
 def _tables(
-    run: OpenedRun, robot: Robot, manager: FeatureManager, observer: Observer
-) -> tuple[FeatureTables, float]:
-    """Return the features of one robot, and the length of its recording [s].
+    run: OpenedRun,
+    robot: Robot,
+    manager: FeatureManager,
+    observer: Observer,
+    check: Check | None,
+) -> tuple[FeatureTables, float, Sequence[str]]:
+    """Return the features of one robot, the length of its recording [s], and its faults.
 
     What was kept of the messages is freed before the observation is made.
     """
@@ -155,7 +173,8 @@ def _tables(
 
     recording = KeptMessages.read(robot, manager.plugins, see=see)
     tables = extract(run, manager, robot, recording, signals)
-    return tables, (recording.duration_ns - 1) * 1e-9
+    faults = check(recording, signals) if check else ()
+    return tables, (recording.duration_ns - 1) * 1e-9, faults
 
 
 def run_isolated(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT_LIMITS) -> T:

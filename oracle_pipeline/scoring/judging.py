@@ -28,7 +28,13 @@ from oracle_pipeline.scoring.conformal import adjusted_for_suite, runs_needed
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.evidence import farthest_features
-from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS, Extracted, Limits, extract_isolated
+from oracle_pipeline.scoring.isolation import (
+    DEFAULT_LIMITS,
+    Check,
+    Extracted,
+    Limits,
+    extract_isolated,
+)
 from oracle_pipeline.scoring.likeness import LEAST, likeness
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.verdict import (
@@ -78,6 +84,7 @@ def score(
     choices: RoleChoices | None = None,
     hold_to_contract: bool = True,
     together: bool = False,
+    check: Check | None = None,
 ) -> list[Verdict]:
     """Judge recordings by comparison with normal runs, each by itself.
 
@@ -104,6 +111,8 @@ def score(
     together : bool
         Whether `far` is the share of normal recordings among those called anomalous, over all
         recordings (Benjamini-Hochberg), instead of the rate for each.
+    check : callable, optional
+        Looks for faults that need no reference; they are notes of the verdicts.
     """
     known = reference.known
     if choices is None and reference.roles is not None:
@@ -112,7 +121,14 @@ def score(
         verdict
         for path in progress_bar(recordings, unit="recording")
         for verdict in _judge_robots(
-            path, reference, manager, limits, strict=strict, choices=choices, known=known
+            path,
+            reference,
+            manager,
+            limits,
+            strict=strict,
+            choices=choices,
+            known=known,
+            check=check,
         )
     ]
     if not hold_to_contract:
@@ -189,11 +205,12 @@ def _judge_robots(
     strict: bool,
     choices: RoleChoices | None,
     known: Known | None,
+    check: Check | None,
 ) -> list[Verdict]:
     """Return a verdict for each robot of a recording, or one verdict with the error."""
     try:
         robots = extract_isolated(
-            path, manager, limits, strict=strict, choices=choices, known=known
+            path, manager, limits, strict=strict, choices=choices, known=known, check=check
         )
     except (OracleError, OSError) as error:
         return [Verdict(str(path), "error", error=str(error))]
@@ -201,13 +218,13 @@ def _judge_robots(
 
 
 def _judge_robot(extracted: Extracted, reference: CardSource) -> Verdict:
-    recording, tables, seen, _ = extracted
+    recording, tables, seen, _, faults = extracted
     try:
         verdict = _scored(recording, tables, reference.card_for(tables.run), seen)
         notes = [note for note in tables.notes if note not in seen.losses]
         return replace(
             verdict,
-            notes=(*notes, *verdict.notes),
+            notes=(*faults, *notes, *verdict.notes),
             cautions=(*seen.losses, *verdict.cautions),
         )
     except (OracleError, OSError) as error:

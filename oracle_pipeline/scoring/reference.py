@@ -125,7 +125,7 @@ def _extracted(
             )
             continue
         unlabelled += not robots[0].has_manifest
-        for recording, both, observation, has_manifest in robots:
+        for recording, both, observation, has_manifest, _ in robots:
             notes += [f"{path}: {note}" for note in both.notes if note != NO_CHECKSUM]
             if not has_manifest:  # the robots of one recording are one block
                 both = FeatureTables(

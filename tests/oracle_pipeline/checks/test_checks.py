@@ -163,3 +163,20 @@ def test_unreadable_recording_is_named_and_the_others_are_checked(tmp_path):
     assert result.exit_code == 2
     assert "broken.mcap: could not be checked" in result.stdout
     assert "good: no fault found" in result.stdout
+
+
+@pytest.mark.slow
+def test_score_tells_the_faults_of_a_recording_beside_its_verdict(tmp_path):
+    for seed in range(3):
+        sound_drive(tmp_path / "good" / str(seed), seed)
+    faulty, sound = drive(tmp_path / "faulty", frozen_imu, 3), sound_drive(tmp_path / "sound", 4)
+    words = ["score", str(faulty), str(sound), "--reference", str(tmp_path / "good")]
+    done = CliRunner().invoke(main, [*words, "--far", "0.25", "--format", "json"])
+    told = [
+        [note for note in verdict["notes"] if note.startswith("Check: ")]
+        for verdict in json.loads(done.stdout)["recordings"]
+    ]
+    assert [fault.text for fault in check_recording(faulty)] == [
+        note.removeprefix("Check: /imu: ").removesuffix(".") for note in told[0]
+    ]
+    assert told[1] == []

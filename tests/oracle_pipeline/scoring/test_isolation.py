@@ -44,7 +44,7 @@ def manager_that(what, folder):
 
 def test_features_are_computed_in_the_other_process(bag, tmp_path):
     (found,) = extract_isolated(bag, manager_that("pass", tmp_path / "plugins"))
-    recording, tables, seen, has_manifest = found
+    recording, tables, seen, has_manifest, _ = found
     assert recording == str(bag)
     assert tables.run["odd.value"].tolist() == [1.0]
     assert not has_manifest
