@@ -53,13 +53,13 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
     """Write the report, `<root>/report/index.html`, with a page for each run.
 
     The first screen has the recorded runs, the results, and claims that are not supported yet.
-    Below it are detection, the features that show each attack, and one run of each attack beside
-    its control; folded sections have integrity checks, detectors and the thesis's method. The page
-    of a run has its map, unusual windows, evidence, goals and outcome. All links are relative.
+    Below it are detection, and one run of each attack beside its control; folded sections have
+    integrity checks, detectors and the thesis's method. The page of a run has its map, unusual
+    windows, evidence, goals and outcome. All links are relative.
     """
     from oracle_pipeline.bags.remote import published
     from oracle_pipeline.datasets import KEYS, read_table
-    from oracle_pipeline.evaluation.giveaways import deviations_of_runs, giveaways
+    from oracle_pipeline.evaluation.run_deviations import deviations_of_runs
     from oracle_pipeline.evaluation.unusual_windows import unusual_windows
     from oracle_pipeline.replay.picture import FILM
     from oracle_pipeline.reporting import html, thesis_reports
@@ -89,13 +89,11 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
         page = html.render(
             evaluation=evaluation,
             explained=explained,
-            giveaways=giveaways(df, deviations),
             record=record_command,
             grid=Report.load(store.results("clustering_grid_search")),
             rates=Report.load(store.results("malicious_rate_report")),
             pairs=Report.load(store.results("pairwise_report")),
             side_by_side=thesis_reports.side_by_side(runs_drawn_from(store), rows, rate, seed),
-            null_model=thesis_reports.null_model(seed=seed),
             radar=radar,
             storage=_storage(store),
             arrived=summary(arrived) if (arrived := kept_verdicts(store.path)) else "",

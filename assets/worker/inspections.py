@@ -13,8 +13,12 @@ from oracle_pipeline.bags.reader import counts_and_hash
 from oracle_pipeline.bags.remote import fetched
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, RunDirectory
 from oracle_pipeline.datasets import MISSING, feature_columns, read_table
+from oracle_pipeline.features.engine.kept_messages import KeptMessages
+from oracle_pipeline.features.extraction import only_robot
 from oracle_pipeline.graphs.differences import graph_differences
 from oracle_pipeline.graphs.intervals import interval_count, read_intervals
+from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.scoring.contract import Observation, Observer
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +128,15 @@ def _finite(place: Path) -> InspectionResult:
         "reasons": sum(map(len, reasons)),
     }
     return InspectionResult(wrong, figures)
+
+
+def observe(run: RunDirectory) -> Observation:
+    """Return the interfaces of a run with a whole bag, as a contract compares them."""
+    with fetched(run.path) as folder, open_run(folder) as opened:
+        robot = only_robot(opened)
+        observer = Observer(robot.bag)
+        recording = KeptMessages.read(robot, (), see=observer.see)
+        return observer.observation(opened, (recording.duration_ns - 1) * 1e-9)
 
 
 _INSPECTIONS = {

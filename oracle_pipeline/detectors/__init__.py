@@ -14,13 +14,7 @@ from oracle_pipeline.detectors.explain import (
     explain,
 )
 from oracle_pipeline.detectors.groups import LargestGroup, SignalScaler
-from oracle_pipeline.detectors.panel import (
-    DEFAULT_DETECTOR,
-    named_detector,
-    panel,
-    pipeline,
-    upper_bounds,
-)
+from oracle_pipeline.detectors.panel import DEFAULT_DETECTOR, named_detector, panel, pipeline
 
 __all__ = [
     "DEFAULT_DETECTOR",
@@ -38,5 +32,4 @@ __all__ = [
     "named_detector",
     "panel",
     "pipeline",
-    "upper_bounds",
 ]

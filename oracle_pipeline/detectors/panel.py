@@ -8,8 +8,7 @@ packages follow: an entry point of the group `PLUGINS` names a class or function
 import importlib.metadata
 from collections.abc import Mapping
 
-from sklearn.base import ClassifierMixin
-from sklearn.ensemble import HistGradientBoostingClassifier, IsolationForest, RandomForestClassifier
+from sklearn.ensemble import IsolationForest
 from sklearn.pipeline import Pipeline
 from sklearn.svm import OneClassSVM
 
@@ -93,19 +92,6 @@ def _made(point: importlib.metadata.EntryPoint) -> Detector:
             "unfitted estimator with fit and score_samples; correct or uninstall its package."
         ) from error
     return detector
-
-
-def upper_bounds(seed: int) -> dict[str, ClassifierMixin]:
-    """Return classifiers by name, unfitted, as upper bounds for these features.
-
-    They are trained on attacked runs too, so they are not oracles.
-    """
-    return {
-        "random_forest": RandomForestClassifier(
-            n_estimators=300, class_weight="balanced", random_state=seed
-        ),
-        "boosted_trees": HistGradientBoostingClassifier(class_weight="balanced", random_state=seed),
-    }
 
 
 def pipeline(detector: Detector, floors: Mapping[str, float] | None = None) -> Pipeline:

@@ -16,15 +16,11 @@ from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bootstrap import DistinctRuns
 from oracle_pipeline.datasets import HARD_NEGATIVE
 from oracle_pipeline.detectors import DEFAULT_DETECTOR
-from oracle_pipeline.evaluation.held_out import HeldOutScores, Level
+from oracle_pipeline.evaluation.card_verdicts import RATE
+from oracle_pipeline.evaluation.held_out import HeldOutScores
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
-from oracle_pipeline.evaluation.metrics import auc, average_precision, matthews, select, share
+from oracle_pipeline.evaluation.metrics import auc, share
 from oracle_pipeline.scoring.conformal import runs_needed
-from oracle_pipeline.scoring.feature_sets import ASPECTS
-
-RATES = (0.05, 0.01)  # nominal false positive rates; the first is the usual one
-BLOCKS_NEEDED = {0.01: 250}  # two in five calibrate, so even a single mode gives 99 runs
-ONE_SIDED = 0.90  # level of a two-sided interval whose lower end is the one-sided 95% bound
 
 ALL_MODES = "all modes"
 NORMAL = "normal"
@@ -34,33 +30,23 @@ OBSTACLE = ("benign_obstacle", "fake_object")  # a real and a fake object at the
 
 
 class Scorer(NamedTuple):
-    """A detector with a set of features of the run, of its windows, or of both."""
+    """A detector with a set of features of the run."""
 
     detector: str
     features: str
-    level: Level
-
-    @property
-    def is_of_card(self) -> bool:
-        """Whether a reference card of these features scores in this way."""
-        return (self.detector, self.level) == (HEADLINE.detector, HEADLINE.level)
 
 
-HEADLINE = Scorer(DEFAULT_DETECTOR, "all", "both")
-# The scorers of a reference card, in the order of the output of `oracle score`.
-OF_CARD = (HEADLINE, *(Scorer(DEFAULT_DETECTOR, aspect, "both") for aspect in ASPECTS))
+HEADLINE = Scorer("reference card", "all")  # as `oracle score` uses it
 
 
 def scorers(detectors: Iterable[str], sets: Iterable[str]) -> list[Scorer]:
-    """Return all scorers that are judged, the headline's first.
+    """Return all scorers that are compared with the headline's, on the features of whole runs.
 
-    These are its detector at every level and on every set of features, and all other detectors.
+    These are all detectors, and the default one on every set of features.
     """
     named = [
-        HEADLINE,
-        *(Scorer(HEADLINE.detector, HEADLINE.features, level) for level in ("run", "windows")),
-        *(Scorer(detector, HEADLINE.features, "run") for detector in detectors),
-        *(Scorer(HEADLINE.detector, features, HEADLINE.level) for features in sets),
+        *(Scorer(detector, HEADLINE.features) for detector in detectors),
+        *(Scorer(DEFAULT_DETECTOR, features) for features in sets),
     ]
     return list(dict.fromkeys(named))
 
@@ -114,49 +100,50 @@ def judge(
     scope: ComparedRuns,
     rng: np.random.Generator,
     positive: NDArray[np.bool_] | None = None,
+    exits: NDArray[np.float64] | None = None,
 ) -> dict[str, float | int | str]:
     """Return the metrics of one comparison as table columns, an estimate as three.
 
-    These are the AUC and average precision, and at each nominal false positive rate the detection
-    rate, the realised rate and its one-sided 95% lower bound, Matthews' correlation and balanced
-    accuracy, as far as the campaign is large enough. `positive`, of shape (n_runs,), marks the runs
-    to be detected, by default the attacked ones.
+    These are the AUC, and the detection rate and realised false positive rate at the nominal one:
+    by features alone, and of the exit code.
+
+    Parameters
+    ----------
+    scores : HeldOutScores
+    campaign : JudgedRuns
+    scope : ComparedRuns
+    rng : Generator
+        Draws the resamples for the intervals.
+    positive : ndarray of bool, shape (n_runs,), optional
+        The runs to be detected; by default the attacked ones.
+    exits : ndarray of shape (n_runs,), optional
+        From `CardVerdicts.exits`.
     """
     runs = runs_of(campaign, scope.runs, positive)
     score, p = scores.score[runs.first], scores.p[runs.first]
+    supported = np.isfinite(p) & (scores.calibration >= runs_needed(RATE))
+    by_features = np.where(supported, p <= RATE, np.nan)
     row: dict[str, float | int | str] = {
         "malicious": int(runs.malicious.sum()),
         "normal": int((~runs.malicious).sum()),
         "blocks": len(np.unique(runs.block)),
-        "prevalence": float(runs.malicious.mean()),
         **auc(score, runs, rng).columns("auc"),
-        **average_precision(score, runs, rng).columns("average_precision"),
+        **_called(by_features, runs, rng, ""),
     }
-    blocks = len(np.unique(campaign.block))
-    for rate in RATES:
-        lacking = max(0, BLOCKS_NEEDED.get(rate, 0) - blocks)
-        supported = lacking == 0 and scores.calibration >= runs_needed(rate)
-        row |= _at_rate(p if supported else np.full_like(p, np.nan), runs, rate, rng)
-        if rate in BLOCKS_NEEDED:
-            row[f"blocks_lacking_{100 * rate:g}"] = lacking
+    if exits is not None:
+        row |= _called(exits[runs.first], runs, rng, "exit_")
     return row | {"note": _note(np.isfinite(score), scores.calibration, runs)}
 
 
-def _at_rate(
-    p: NDArray[np.float64], runs: DistinctRuns, rate: float, rng: np.random.Generator
-) -> dict[str, float | int | str]:
-    """Return the metrics of the verdict ``p <= rate``; runs with a NaN in `p` are left out."""
-    with_p = np.isfinite(p)
-    judged, flagged = select(runs, with_p), p[with_p] <= rate
-    normal, flag = ~judged.malicious, flagged.astype(np.float64)
-    block = judged.block
-    name = f"{100 * rate:g}"
+def _called(
+    called: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Generator, name: str
+) -> dict[str, float]:
+    """Return the shares of attacked and of normal runs that are called; NaN is left out."""
+    known = np.isfinite(called)
+    hit, malicious, block = called[known] == 1.0, runs.malicious[known], runs.block[known]
     return {
-        **share(flagged[~normal], block[~normal], rng).columns(f"detection_rate_{name}"),
-        **share(flagged[normal], block[normal], rng).columns(f"false_alarm_rate_{name}"),
-        f"false_alarm_rate_{name}_bound": share(flagged[normal], block[normal], rng, ONE_SIDED).low,
-        **matthews(flagged, judged, rng).columns(f"mcc_{name}"),
-        **auc(flag, judged, rng).columns(f"balanced_accuracy_{name}"),
+        **share(hit[malicious], block[malicious], rng).columns(f"{name}detection_rate"),
+        **share(hit[~malicious], block[~malicious], rng).columns(f"{name}false_positive_rate"),
     }
 
 
@@ -172,9 +159,9 @@ def _note(scored: NDArray[np.bool_], calibration: int, runs: DistinctRuns) -> st
         for name, of in (("malicious", runs.malicious), ("normal", ~runs.malicious))
         if not of.any()
     ]
-    needed = runs_needed(RATES[0])
+    needed = runs_needed(RATE)
     if calibration < needed:
-        remarks.append(f"{calibration} calibration runs, {RATES[0]:.0%} needs {needed}")
+        remarks.append(f"{calibration} calibration runs, {RATE:.0%} needs {needed}")
     return "; ".join(remarks)
 
 

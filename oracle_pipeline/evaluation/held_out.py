@@ -7,7 +7,6 @@ neither calibration nor test rows of the fold.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -15,15 +14,11 @@ from numpy.typing import NDArray
 from sklearn.base import clone
 
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
-from oracle_pipeline.datasets import feature_columns, feature_floors, is_malicious
+from oracle_pipeline.datasets import feature_floors
 from oracle_pipeline.detectors import Detector, pipeline
 from oracle_pipeline.evaluation.splits import Fold
-from oracle_pipeline.scoring import run_scorer
 from oracle_pipeline.scoring.conformal import p_values
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.scoring.run_scorer import common_length
-
-Level = Literal["run", "windows", "both"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -40,37 +35,28 @@ def held_out(
     columns: Sequence[str],
     detector: Detector,
     folds: Sequence[Fold],
-    level: Level = "run",
 ) -> HeldOutScores:
-    """Score every run by a detector fitted on normal runs of other blocks.
+    """Score every run by its features, by a detector fitted on normal runs of other blocks.
 
     Parameters
     ----------
     runs : Runs
     columns : sequence of str
-        Features to use; windows may lack some of them.
+        Features to use.
     detector : Detector
         Unfitted; it is cloned.
     folds : sequence of Fold
         Over the runs.
-    level : {"run", "windows", "both"}
-        Score by the features of the run, by those of its most unusual windows (`top_windows`), or
-        by the larger of the two standardised scores.
 
     Raises
     ------
     DetectorError
         The detector cannot be fitted on this number of runs or features.
     """
-    scores = []
-    if level in ("run", "both"):
-        scores.append(fold_scores(runs.features, columns, detector, folds))
-    if level in ("windows", "both"):
-        of_windows = window_scores(runs, columns, detector, folds)
-        scores.append(top_windows(of_windows, runs, folds))
-    furthest = np.max([standardised(part, folds) for part in scores], axis=0)
-    p = conformal(furthest, folds)
-    return HeldOutScores(of_tested(furthest, folds), p, calibration_runs(folds))
+    scores = standardised(fold_scores(runs.features, columns, detector, folds), folds)
+    return HeldOutScores(
+        of_tested(scores, folds), conformal(scores, folds), calibration_runs(folds)
+    )
 
 
 def calibration_runs(folds: Sequence[Fold]) -> int:
@@ -93,32 +79,6 @@ def fold_scores(
             scored = fold.calibrate | fold.test
             scores[number, scored] = -model.score_samples(X[scored])
     return scores
-
-
-def window_scores(
-    runs: MeasuredRuns, columns: Sequence[str], detector: Detector, folds: Sequence[Fold]
-) -> NDArray[np.float64]:
-    """Score windows by a detector fitted on windows of normal runs; (n_folds, n_windows)."""
-    present = set(feature_columns(runs.windows))
-    windowed = [column for column in columns if column in present]
-    of_windows = [fold.of(runs.run) for fold in folds]
-    return fold_scores(runs.windows, windowed, detector, of_windows)
-
-
-def top_windows(
-    scores: NDArray[np.float64], runs: MeasuredRuns, folds: Sequence[Fold]
-) -> NDArray[np.float64]:
-    """Return the mean score of each run's three most unusual windows, shape (n_folds, n_runs).
-
-    A longer run has more extreme windows by chance, and attacked runs are longer. So windows count
-    only up to the length that nine tenths of the fitted runs reach.
-    """
-    counts = runs.counts
-    top = np.empty((len(folds), len(counts)))
-    for number, fold in enumerate(folds):
-        counted = common_length(counts[fold.fit])
-        top[number] = run_scorer.top_windows(scores[number], runs, counted)
-    return top
 
 
 def standardised(scores: NDArray[np.float64], folds: Sequence[Fold]) -> NDArray[np.float64]:
@@ -158,40 +118,3 @@ def conformal(scores: NDArray[np.float64], folds: Sequence[Fold]) -> NDArray[np.
 
 def _finite(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     return scores[np.isfinite(scores)]
-
-
-def supervised_scores(
-    features: pd.DataFrame,
-    columns: Sequence[str],
-    classifier: Any,
-    folds: Sequence[Fold],
-    target: NDArray[np.bool_] | None = None,
-) -> NDArray[np.float64]:
-    """Return the scores of a classifier that was trained with the labels of other blocks.
-
-    It is not an oracle but an upper bound for these features.
-
-    Parameters
-    ----------
-    features : DataFrame
-        One row for each run.
-    columns : sequence of str
-    classifier : scikit-learn classifier
-        Unfitted.
-    folds : sequence of Fold
-    target : ndarray of bool, shape (n_runs,), optional
-        What to predict; by default whether a run was attacked.
-
-    Returns
-    -------
-    ndarray of shape (n_runs,)
-        Probability; NaN where the training rows have one class only.
-    """
-    target = is_malicious(features) if target is None else target
-    X, floors = features[list(columns)], feature_floors(features)
-    scores = np.full(len(features), np.nan)
-    for fold in folds:
-        if np.unique(target[fold.train]).size == 2 and np.isfinite(X[fold.train].to_numpy()).any():
-            model = pipeline(clone(classifier), floors).fit(X[fold.train], target[fold.train])
-            scores[fold.test] = model.predict_proba(X[fold.test])[:, 1]
-    return scores

@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.bags.manifest import CHANGE_BIN_S
 from oracle_pipeline.datasets import is_malicious
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns, require_runs
 from oracle_pipeline.windows import WINDOW_S
@@ -68,18 +67,3 @@ class JudgedRuns(MeasuredRuns):
             for text in self.truth["changes"]
         ]
         return np.asarray(np.maximum(self.onset_s, first), dtype=np.float64)
-
-    def attacked_windows(self) -> NDArray[np.bool_]:
-        """Return a mask of the windows of attacked runs with altered messages, (n_windows,).
-
-        Without recorded changes, all windows after the onset count.
-        """
-        attacked = self.malicious[self.run] & (self.end_s > self.onset_s[self.run])
-        for row in np.flatnonzero(self.malicious):
-            bins = [start for start, *_ in json.loads(self.truth["changes"].iloc[row])]
-            if bins:
-                of_run = np.flatnonzero(self.run == row)
-                start, end = self.start_s[of_run, None], self.end_s[of_run, None]
-                overlap = (np.array(bins) < end) & (np.array(bins) + CHANGE_BIN_S > start)
-                attacked[of_run] &= overlap.any(axis=1)
-        return attacked

@@ -6,15 +6,17 @@ without an altered message is an equivalent mutant and is left out. ``oracle-sim
 grid.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.datasets import DatasetError, is_hard_negative
-from oracle_pipeline.evaluation.comparisons import HEADLINE, RATES
-from oracle_pipeline.evaluation.estimate import NOTHING, Estimate, clopper_pearson
+from oracle_pipeline.evaluation.card_verdicts import RATE, card_verdicts
+from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
 from oracle_pipeline.evaluation.held_out import calibration_runs
-from oracle_pipeline.evaluation.reference_scores import reference_scores
+from oracle_pipeline.evaluation.metrics import share
 from oracle_pipeline.evaluation.splits import (
     BLOCK,
     HARMLESS,
@@ -26,19 +28,20 @@ from oracle_pipeline.scoring.conformal import check_support, runs_needed
 from oracle_pipeline.scoring.feature_sets import feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
-OPERATOR = ["scenario", "parameter"]
-REQUIRED = ("scenario", "parameter", "value", "changed_messages")
+OPERATOR = ("scenario", "parameter")
+MAGNITUDE = ("split", *OPERATOR, "value")
+REQUIRED = (*OPERATOR, "value", "changed_messages")
 DETECTABLE = 0.9  # detection rate from which a magnitude counts as detectable
 
 
 def kill_matrix(
-    campaign: MeasuredRuns, grid: MeasuredRuns, seed: int, rate: float = RATES[0]
+    campaign: MeasuredRuns, grid: MeasuredRuns, seed: int, rate: float = RATE
 ) -> pd.DataFrame:
-    """Return how many runs of each magnitude the headline's scorer kills.
+    """Return which runs of a grid a reference card kills, by features alone.
 
-    It is learned once with hard negatives and once without (``split``), since an oracle that knows
-    harmless changes accepts weaker attacks. It learns from normal runs of blocks that the grid does
-    not use: a grid made offline mutates runs of the campaign.
+    A card is learned once with hard negatives and once without (``split``), since an oracle that
+    knows harmless changes accepts weaker attacks. It learns from normal runs of blocks that the
+    grid does not use: a grid made offline mutates runs of the campaign.
 
     Parameters
     ----------
@@ -54,8 +57,8 @@ def kill_matrix(
     Returns
     -------
     DataFrame
-        A row for each split, scenario, parameter and value, with ``mutants``, ``equivalent``,
-        ``killed`` and the estimate ``kill_rate`` among those that are not equivalent.
+        A row for each split and mutant: ``scenario``, ``parameter``, ``value``, ``block``,
+        ``changed_messages`` and ``killed``.
 
     Raises
     ------
@@ -83,12 +86,9 @@ def kill_matrix(
         splits[HARMLESS] = plain
     tables = []
     for split, folds in splits.items():
-        killed = reference_scores(runs, folds, HEADLINE.features).p[mutants] <= rate
-        verdicts = grid.features[list(REQUIRED)].assign(killed=killed)
-        tables.append(_counted(verdicts).assign(split=split))
-    columns = ["split", *OPERATOR, "value", "mutants", "equivalent", "killed"]
-    kills = pd.concat(tables, ignore_index=True)
-    return kills[[*columns, "kill_rate", "kill_rate_low", "kill_rate_high"]]
+        killed = card_verdicts(runs, folds, rate=rate).scores().p[mutants] <= rate
+        tables.append(grid.features[[*REQUIRED, "block"]].assign(split=split, killed=killed))
+    return pd.concat(tables, ignore_index=True)
 
 
 def _fold(runs: MeasuredRuns, mutants: NDArray[np.bool_], seed: int) -> Fold:
@@ -98,38 +98,28 @@ def _fold(runs: MeasuredRuns, mutants: NDArray[np.bool_], seed: int) -> Fold:
     return Fold(fit, calibrate, mutants, train)
 
 
-def _counted(verdicts: pd.DataFrame) -> pd.DataFrame:
-    rows = []
-    for place, runs in verdicts.groupby([*OPERATOR, "value"], sort=True):
-        mutants = runs[runs["changed_messages"] > 0]
-        killed = int(mutants["killed"].sum())
-        rate = killed / len(mutants) if len(mutants) else np.nan
-        rows.append(
-            {
-                **dict(zip([*OPERATOR, "value"], place, strict=True)),
-                "mutants": len(runs),
-                "equivalent": len(runs) - len(mutants),
-                "killed": killed,
-                **clopper_pearson(rate, len(mutants)).columns("kill_rate"),
-            }
-        )
-    return pd.DataFrame(rows)
-
-
-def mutation_scores(kills: pd.DataFrame) -> pd.DataFrame:
-    """Return the share of mutants that are killed in each split, equivalent ones left out.
+def kill_rates(killed: pd.DataFrame, by: Sequence[str], rng: np.random.Generator) -> pd.DataFrame:
+    """Return the share of mutants that are killed in each group, equivalent ones left out.
 
     Parameters
     ----------
-    kills : DataFrame
+    killed : DataFrame
         From `kill_matrix`.
+    by : sequence of str
+        Columns that name a group: `MAGNITUDE`, or ``split`` for the mutation score.
+    rng : Generator
+        Draws the blocks for the intervals: mutants of one block resemble each other.
     """
     rows = []
-    for split, of in kills.groupby("split", sort=False):
-        mutants, killed = int((of["mutants"] - of["equivalent"]).sum()), int(of["killed"].sum())
-        score = clopper_pearson(killed / mutants, mutants) if mutants else NOTHING
-        counts = {"split": split, "mutants": mutants, "killed": killed}
-        rows.append(counts | score.columns("mutation_score"))
+    for place, of in killed.groupby(list(by)):
+        mutants = of[of["changed_messages"] > 0]
+        hit, block = (mutants[name].to_numpy() for name in ("killed", "block"))
+        row = dict(zip(by, place, strict=True)) | {
+            "mutants": len(of),
+            "equivalent": len(of) - len(mutants),
+            "killed": int(hit.sum()),
+        }
+        rows.append(row | share(hit, block, rng).columns("kill_rate"))
     return pd.DataFrame(rows)
 
 
@@ -143,7 +133,7 @@ def minimum_detectable(kills: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     kills : DataFrame
-        From `kill_matrix`.
+        From `kill_rates`, by `MAGNITUDE`.
     """
     rows = []
     for place, of in kills.groupby(["split", *OPERATOR], sort=False):

@@ -13,10 +13,9 @@ from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bootstrap import DistinctRuns
 from oracle_pipeline.datasets import is_hard_negative, read_table
-from oracle_pipeline.evaluation.comparisons import RATES
+from oracle_pipeline.evaluation.card_verdicts import RATE, card_folds, card_verdicts
 from oracle_pipeline.evaluation.estimate import NOTHING
 from oracle_pipeline.evaluation.metrics import auc, share
-from oracle_pipeline.evaluation.reference_scores import reference_scores
 from oracle_pipeline.oracles.calibration import KindScores, calibrated, union
 from oracle_pipeline.oracles.kind import OracleKind, TracedRuns
 from oracle_pipeline.scoring.conformal import runs_needed
@@ -52,7 +51,7 @@ def compare_kinds(
     kinds: Sequence[OracleKind],
     runs: TracedRuns,
     others: Mapping[str, KindScores] | None = None,
-    rate: float = RATES[0],
+    rate: float = RATE,
     progress: Callable[[str], None] = lambda _: None,
 ) -> KindsComparison:
     """Judge the same runs by several kinds of oracle, sessions held out.
@@ -122,7 +121,8 @@ def by_cards(roots: Sequence[Path], runs: TracedRuns) -> dict[str, KindScores]:
         table = read_table(features)
         if set(runs.table["run_id"]) <= set(table["run_id"]):
             rows = table[table["run_id"].isin(runs.table["run_id"])]
-            scores = reference_scores(MeasuredRuns.ordered(rows, read_table(windows)))
+            measured = MeasuredRuns.ordered(rows, read_table(windows))
+            scores = card_verdicts(measured, card_folds(measured.features, SEED)).scores()
             order = np.searchsorted(np.sort(rows["run_id"]), runs.table["run_id"])
             return {CARD: KindScores(scores.score[order], scores.p[order])}
     return {}

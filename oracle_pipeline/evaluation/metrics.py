@@ -1,4 +1,4 @@
-"""Confusion matrix, rates, AUC, average precision and ROC curve over distinct runs.
+"""Confusion matrix, rates, AUC and ROC curve over distinct runs.
 
 Rows may be copies drawn by a bootstrap: every metric here takes one value for each *run* and
 weights it by the number of copies. So the value is that of the rows, and the interval that of the
@@ -7,6 +7,7 @@ without copies (our own evaluation), `share` gives a rate with an interval that 
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,30 +176,12 @@ def events_per_hour(
     return _wider(exact, 3600.0 * counts / (draws @ np.bincount(member, weights=seconds)), LEVEL)
 
 
-def matthews(flagged: NDArray[np.bool_], runs: DistinctRuns, rng: np.random.Generator) -> Estimate:
-    """Return Matthews' correlation of verdict and truth, by rows.
-
-    The interval has the percentiles over resampled blocks; its width is 0 for a perfect verdict.
-    """
-    value = confusion(flagged, runs).mcc
-    if np.isnan(value):
-        return NOTHING
-    names, member = np.unique(runs.block, return_inverse=True)
-    cells = 2 * runs.malicious + flagged  # tn, fp, fn, tp
-    counts = np.zeros((len(names), 4))
-    np.add.at(counts, (member, cells), runs.copies)
-    tn, fp, fn, tp = (_resampled(len(names), rng) @ counts).T
-    margins = (tp + fn) * (fp + tn) * (tp + fp) * (tn + fn)
-    values = np.zeros(len(margins))
-    np.divide(tp * tn - fp * fn, np.sqrt(margins), out=values, where=margins > 0)
-    return _wider(Estimate(value, value, value), values, LEVEL)
-
-
 def auc(
     score: NDArray[np.float64],
     runs: DistinctRuns,
     rng: np.random.Generator,
     level: float = LEVEL,
+    within: NDArray[Any] | None = None,
 ) -> Estimate:
     """Return the probability that a malicious row scores above another row; ties count half.
 
@@ -213,6 +196,8 @@ def auc(
         Draws the blocks.
     level : float
         Of confidence, two-sided.
+    within : ndarray of shape (n_runs,), optional
+        A group for each run, such as its mode: only rows of one group are compared.
 
     Returns
     -------
@@ -221,43 +206,32 @@ def auc(
         Newcombe's interval for the number of distinct runs, since resampling perfectly separated
         blocks gives no width. `NOTHING` if a class is missing.
     """
-    scored, score = _scored(score, runs)
-    n_malicious = int(scored.malicious.sum())
-    if n_malicious in (0, len(scored)):
+    group = np.zeros(len(runs)) if within is None else within
+    finite = ~np.isnan(score)
+    groups = [finite & (group == name) for name in np.unique(group[finite])]
+    both = [members for members in groups if _has_both(runs.malicious[members])]
+    if not both:
         return NOTHING
-    positive, negative = _by_score(score, scored)
-    # Number of pairs, by block of the malicious and of the other row, that the malicious row wins.
-    # The AUC for any weights of blocks is then a ratio of quadratic forms.
-    wins = positive @ (np.cumsum(negative, axis=1) - negative / 2.0).T
-    draws = np.vstack([np.ones(len(wins)), _resampled(len(wins), rng)])
-    pairs = (draws @ positive.sum(axis=1)) * (draws @ negative.sum(axis=1))
+    compared = np.any(both, axis=0)
+    n_malicious = int(runs.malicious[compared].sum())
+    blocks = np.unique(runs.block[compared])
+    draws = np.vstack([np.ones(len(blocks)), _resampled(len(blocks), rng)])
+    won, pairs = np.zeros((2, len(draws)))
+    for members in both:
+        positive, negative = _by_score(score[members], select(runs, members), blocks)
+        # Number of pairs, by block of the malicious and of the other row, that the malicious row
+        # wins. The AUC for any weights of blocks is then a ratio of quadratic forms.
+        wins = positive @ (np.cumsum(negative, axis=1) - negative / 2.0).T
+        won += np.einsum("ri,ri->r", draws @ wins, draws)
+        pairs += (draws @ positive.sum(axis=1)) * (draws @ negative.sum(axis=1))
     values = np.full(len(pairs), np.nan)
-    np.divide(np.einsum("ri,ri->r", draws @ wins, draws), pairs, out=values, where=pairs > 0)
-    bound = newcombe_auc(float(values[0]), n_malicious, len(scored) - n_malicious, level)
+    np.divide(won, pairs, out=values, where=pairs > 0)
+    bound = newcombe_auc(float(values[0]), n_malicious, int(compared.sum()) - n_malicious, level)
     return _wider(bound, values[1:], level)
 
 
-def average_precision(
-    score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Generator
-) -> Estimate:
-    """Return the average precision, with scores sorted from the highest down.
-
-    A random score reaches the prevalence, so show the prevalence beside it. Parameters are those of
-    `auc`; the interval has the percentiles over resampled blocks alone.
-    """
-    scored, score = _scored(score, runs)
-    if scored.malicious.all() or not scored.malicious.any():
-        return NOTHING
-    positive, negative = (part[:, ::-1] for part in _by_score(score, scored))
-    draws = np.vstack([np.ones(len(positive)), _resampled(len(positive), rng)])
-    positive_of_draw = draws @ positive
-    true, false = np.cumsum(positive_of_draw, axis=1), np.cumsum(draws @ negative, axis=1)
-    precision = np.divide(true, true + false, out=np.zeros_like(true), where=true > 0)
-    total = true[:, -1]
-    values = np.full(len(total), np.nan)
-    np.divide((precision * positive_of_draw).sum(axis=1), total, out=values, where=total > 0)
-    value = float(values[0])
-    return _wider(Estimate(value, value, value), values[1:], LEVEL)
+def _has_both(malicious: NDArray[np.bool_]) -> bool:
+    return bool(malicious.any() and not malicious.all())
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -280,11 +254,12 @@ def roc_curve(score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Gen
     MetricError
         A class is missing.
     """
-    scored, score = _scored(score, runs)
-    if scored.malicious.all() or not scored.malicious.any():
+    scored = select(runs, ~np.isnan(score))
+    if not _has_both(scored.malicious):
         raise MetricError("A ROC curve needs runs of both classes; record both.")
     # Scores descend; the curve interpolates between distinct scores.
-    positive, negative = (part[:, ::-1] for part in _by_score(score, scored))
+    parts = _by_score(score[~np.isnan(score)], scored, np.unique(scored.block))
+    positive, negative = (part[:, ::-1] for part in parts)
     draws = np.vstack([np.ones(len(positive)), _resampled(len(positive), rng)])
     grid = np.linspace(0.0, 1.0, 101)
     curves = []
@@ -296,13 +271,6 @@ def roc_curve(score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Gen
     return RocCurve(grid, curves[0], np.minimum(low, curves[0]), np.maximum(high, curves[0]))
 
 
-def _scored(
-    score: NDArray[np.float64], runs: DistinctRuns
-) -> tuple[DistinctRuns, NDArray[np.float64]]:
-    finite = ~np.isnan(score)
-    return select(runs, finite), score[finite]
-
-
 def _resampled(blocks: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """Return the number of draws of each block, shape (RESAMPLES, blocks)."""
     shares = np.full(blocks, 1.0 / blocks)
@@ -310,10 +278,10 @@ def _resampled(blocks: int, rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def _by_score(
-    score: NDArray[np.float64], runs: DistinctRuns
+    score: NDArray[np.float64], runs: DistinctRuns, blocks: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Count the rows of either class by block and distinct score, ascending."""
-    blocks, member = np.unique(runs.block, return_inverse=True)
+    member = np.searchsorted(blocks, runs.block)
     scores, place = np.unique(score, return_inverse=True)
     counts = np.zeros((2, len(blocks), len(scores)))
     np.add.at(counts, (runs.malicious.astype(int), member, place), runs.copies)

@@ -11,7 +11,8 @@ from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bootstrap import lacking
 from oracle_pipeline.datasets import HARD_NEGATIVE, feature_columns, is_malicious
 from oracle_pipeline.evaluation.audit import blocks_needed
-from oracle_pipeline.evaluation.comparisons import BLOCKS_NEEDED, RATES, SHADOW
+from oracle_pipeline.evaluation.card_verdicts import RATE, blocks_for_verdicts
+from oracle_pipeline.evaluation.comparisons import SHADOW
 from oracle_pipeline.evaluation.integrity_checks import (
     FALSE_ALARMS,
     IntegrityCheck,
@@ -19,7 +20,6 @@ from oracle_pipeline.evaluation.integrity_checks import (
     blocks_to_separate,
 )
 from oracle_pipeline.evaluation.splits import MIN_BLOCKS
-from oracle_pipeline.scoring.conformal import runs_needed
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ def open_claims(df: pd.DataFrame, checks: Sequence[IntegrityCheck]) -> list[Open
     df : DataFrame
         Distinct runs, one row each.
     checks : sequence of IntegrityCheck
-        Of their evaluation; an AUC is claimed if all are green.
+        Of their evaluation.
     """
     if missing := lacking(df):
         side = 0 if is_malicious(df).any() else 1
@@ -49,7 +49,7 @@ def open_claims(df: pd.DataFrame, checks: Sequence[IntegrityCheck]) -> list[Open
         return [OpenClaim("Any comparison", f"There are {missing}.", absent, blocks)]
     return [
         *_verdicts(df),
-        *_area(df, [check for check in checks if check.status != "green"]),
+        *_checks(df, [check for check in checks if check.status != "green"]),
         *_unused(df),
     ]
 
@@ -61,36 +61,31 @@ def as_table(claims: Iterable[OpenClaim]) -> pd.DataFrame:
 
 
 def _verdicts(df: pd.DataFrame) -> list[OpenClaim]:
-    """Return the highest false positive rate that is not yet supported."""
+    """Return why the false positive rate is not supported, or not proven."""
     normal = df[~is_malicious(df)]
     modes = tuple(dict.fromkeys(df["mode"]))
     runs, blocks = len(normal), normal["block"].nunique()
-    usual, strict = RATES
-    needed = runs_needed(usual) + 1  # the block of the judged run has no vote
+    needed = blocks_for_verdicts()
     if blocks < needed:
         reason = (
             f"It needs normal recordings of {needed} blocks; you have {runs} recordings of "
             f"{blocks}. Record {needed - blocks} more blocks."
         )
-        return [OpenClaim(f"A false positive rate of {usual:.0%}", reason, modes, needed)]
-    to_show = blocks_to_exclude(usual)
+        return [OpenClaim(f"A false positive rate of {RATE:.0%}", reason, modes, needed)]
+    to_show = blocks_to_exclude(RATE)
     if runs < to_show:
-        bound = 1.0 - usual ** (1.0 / runs)
+        bound = 1.0 - RATE ** (1.0 / runs)
         reason = (
             f"{runs} normal recordings without a false positive would still allow a rate of "
             f"{bound:.1%}; {to_show} are needed."
         )
         needed = ceil(to_show * blocks / runs)
-        return [OpenClaim(f"Proof that the rate is at most {usual:.0%}", reason, modes, needed)]
-    needed = BLOCKS_NEEDED[strict]
-    if blocks < needed:
-        reason = f"It needs {needed} blocks; you have {blocks}. Record {needed - blocks} more."
-        return [OpenClaim(f"A false positive rate of {strict:.0%}", reason, modes, needed)]
+        return [OpenClaim(f"Proof that the rate is at most {RATE:.0%}", reason, modes, needed)]
     return []
 
 
-def _area(df: pd.DataFrame, doubts: Sequence[IntegrityCheck]) -> list[OpenClaim]:
-    """Return why an AUC cannot be claimed, starting with checks that need more runs."""
+def _checks(df: pd.DataFrame, doubts: Sequence[IntegrityCheck]) -> list[OpenClaim]:
+    """Return the checks that are not green, starting with those that need other runs."""
     claims = []
     lacks = [check for check in doubts if check.status == "unsupported"]
     if lacks:
@@ -99,10 +94,10 @@ def _area(df: pd.DataFrame, doubts: Sequence[IntegrityCheck]) -> list[OpenClaim]
         blocks = max(blocks for _, blocks in needs)
         reason = f"These checks lack runs: {', '.join(map(_named, lacks))}."
         everything = tuple(dict.fromkeys([*df["mode"], *modes]))
-        claims.append(OpenClaim("An AUC", reason, everything, blocks))
+        claims.append(OpenClaim("All integrity checks", reason, everything, blocks))
     if failed := [check for check in doubts if check.status == "red"]:
         reason = f"These checks fail: {', '.join(map(_named, failed))}."
-        claims.append(OpenClaim("An AUC for other recordings than these", reason))
+        claims.append(OpenClaim("A detection rate for other recordings than these", reason))
     return claims
 
 
@@ -117,8 +112,9 @@ def _need(check: str, df: pd.DataFrame) -> tuple[tuple[str, ...], int]:
     if check == "unaltered_runs_are_alike":
         shadows = tuple(f"{attacked}{SHADOW}" for _, attacked in PAIRS)
         return shadows, blocks_needed(len(feature_columns(df)))
-    if check in ("sessions_score_alike", "label_is_predicted_better_than_session"):
-        return (), 2 * blocks_to_separate()
+    if check == "sessions_score_alike":
+        can_help = df["session"].nunique() < df["block"].nunique()  # sessions of several blocks
+        return (), df["session"].nunique() * blocks_to_separate() if can_help else 0
     if check == "graphs_of_pairs_are_equal":
         return tuple(mode for pair in PAIRS for mode in pair), max(1, df["block"].nunique())
     return (), MIN_BLOCKS

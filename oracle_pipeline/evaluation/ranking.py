@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.datasets import is_malicious
-from oracle_pipeline.evaluation.comparisons import RATES
+from oracle_pipeline.evaluation.card_verdicts import RATE
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ def standing(runs: pd.DataFrame) -> pd.DataFrame:
         ``mode``, ``label``, ``runs``, ``judged`` (runs with a p-value), ``called`` (how many of
         those are anomalous at the usual rate) and ``median_score``.
     """
-    called = runs["p"] <= RATES[0]
+    called = runs["p"] <= RATE
     by_mode = runs.assign(called=called).groupby("mode", sort=False)
     table = by_mode.agg(
         label=("label", "first"),

@@ -55,13 +55,11 @@ def block_folds(df: pd.DataFrame, seed: int, n_folds: int = FOLDS) -> list[Fold]
     return _folds(df, [group == n for n in range(n_folds)], rng)
 
 
-def group_folds(
-    df: pd.DataFrame, column: Literal["session", "world"], seed: int, blocks_that_train: int = 0
-) -> list[Fold]:
-    """Return folds that hold out whole sessions or worlds, except some blocks for training.
+def group_folds(df: pd.DataFrame, column: Literal["session", "world"], seed: int) -> list[Fold]:
+    """Return folds that hold out whole sessions or worlds.
 
     One group at a time is held out, or a fifth of them if there are more than five. There are no
-    folds with only one group, or if a group has no block left to test.
+    folds with only one group.
 
     Parameters
     ----------
@@ -70,28 +68,25 @@ def group_folds(
     column : {"session", "world"}
         What is held out.
     seed : int
-        Of the choice of blocks that train, and of the assignment of groups to folds.
-    blocks_that_train : int
-        Number of blocks of a tested group that are used for training.
+        Of the assignment of groups to folds.
     """
-    block, group = _column(df, "block"), df[column].to_numpy()
-    rng = np.random.default_rng([seed, blocks_that_train])
-    tested = [
-        (group == name)
-        & np.isin(block, rng.permutation(np.unique(block[group == name]))[blocks_that_train:])
-        for name in np.unique(group)
-    ]
-    if len(tested) < 2 or not all(test.any() for test in tested):
+    names, group = np.unique(df[column].to_numpy(), return_inverse=True)
+    if len(names) < 2:
         return []
-    if len(tested) > FOLDS:
-        fold = rng.permutation(len(tested)) % FOLDS
-        tested = [np.any(np.array(tested)[fold == n], axis=0) for n in range(FOLDS)]
+    fold = np.random.default_rng(seed).permutation(len(names)) % FOLDS
+    tested = [np.asarray(fold[group] == n) for n in range(min(FOLDS, len(names)))]
     return _folds(df, tested, np.random.default_rng(seed))
 
 
-def tested_in(folds: Sequence[Fold]) -> NDArray[np.bool_] | None:
-    """Return a mask of the rows that any fold tests; None if there are no folds."""
-    return np.any([fold.test for fold in folds], axis=0) if folds else None
+def within_one_card(df: pd.DataFrame) -> list[Fold]:
+    """Return one fold that learns from all normal runs and tests all runs."""
+    everything = np.ones(len(df), dtype=np.bool_)
+    return [Fold(~is_malicious(df), ~everything, everything, everything)]
+
+
+def tested_in(folds: Sequence[Fold]) -> NDArray[np.bool_]:
+    """Return a mask of the rows that any fold tests."""
+    return np.asarray(np.any([fold.test for fold in folds], axis=0), dtype=np.bool_)
 
 
 def without_hard_negatives(df: pd.DataFrame, folds: Sequence[Fold]) -> list[Fold]:

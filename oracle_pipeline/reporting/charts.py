@@ -13,8 +13,8 @@ from matplotlib.colors import to_rgb
 from scipy.cluster.hierarchy import leaves_list
 
 from oracle_pipeline.clustering.tree import Tree
-from oracle_pipeline.evaluation.curves import NamedCurves
 from oracle_pipeline.evaluation.estimate import Estimate
+from oracle_pipeline.evaluation.metrics import RocCurve
 from oracle_pipeline.reporting.figures import AMBER, COLORS, DASHES, INK, SERIES, drawing
 
 
@@ -63,7 +63,7 @@ def dendrogram(tree: Tree, labels: Sequence[str]) -> bytes:
     return png.getvalue()
 
 
-def roc_curves(curves: NamedCurves) -> bytes:
+def roc_curves(curves: Mapping[str, tuple[RocCurve, Estimate]]) -> bytes:
     """Draw ROC curves with their bands; the legend gives each AUC with its interval."""
     with drawing(4.7, 4.7) as (axes, png):
         axes.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")

@@ -1,4 +1,4 @@
-"""The oracle's evaluation as a `Report`: tables, pictures, and the headline as a sentence.
+"""The oracle's evaluation as a `Report`: tables, and the headline as a sentence.
 
 All values come from ``oracle_pipeline.evaluation.campaign_evaluation``.
 """
@@ -9,14 +9,16 @@ import pandas as pd
 from oracle_pipeline.datasets import KEYS, content_hash, is_malicious
 from oracle_pipeline.evaluation import integrity_checks
 from oracle_pipeline.evaluation.campaign_evaluation import CampaignEvaluation
-from oracle_pipeline.evaluation.comparisons import HEADLINE, RATES
+from oracle_pipeline.evaluation.card_verdicts import RATE
 from oracle_pipeline.evaluation.estimate import Estimate
-from oracle_pipeline.evaluation.kill_rates import minimum_detectable, mutation_scores
+from oracle_pipeline.evaluation.kill_rates import MAGNITUDE, kill_rates, minimum_detectable
 from oracle_pipeline.evaluation.open_claims import as_table
 from oracle_pipeline.evaluation.ranking import Ranking, standing
-from oracle_pipeline.reporting import charts
 from oracle_pipeline.reporting.stored_report import Report, facts
 from oracle_pipeline.scoring.feature_sets import ASPECTS
+
+EXIT_RATES = ("exit_detection_rate", "exit_false_positive_rate")
+FIGURES = (*EXIT_RATES, "detection_rate", "false_positive_rate", "auc")  # of the first row
 
 
 def evaluation_report(evaluation: CampaignEvaluation) -> Report:
@@ -27,12 +29,11 @@ def evaluation_report(evaluation: CampaignEvaluation) -> Report:
     ``task_differences``, ``checks``, ``open_claims``, ``runs``, ``raised``, ``standing`` and, with
     a grid, ``kills``, ``mutation_scores`` and ``minimum_detectable``.
     """
-    pictures = {"roc": charts.roc_curves(evaluation.curves)} if evaluation.curves else {}
-    return Report(evaluation.table, pictures, _summary(evaluation), _tables(evaluation))
+    return Report(evaluation.table, {}, _summary(evaluation), _tables(evaluation))
 
 
 def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
-    kills = evaluation.kills
+    rng = np.random.default_rng(evaluation.seed)
     runs = _judged(evaluation)
     tables = {
         "alarms": evaluation.alarms,
@@ -44,19 +45,20 @@ def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
         "raised": _raised(evaluation),
         "standing": standing(runs),
     }
-    if kills is not None:
+    if evaluation.kills is not None:
+        kills = kill_rates(evaluation.kills, MAGNITUDE, rng)
         tables |= {
             "kills": kills,
-            "mutation_scores": mutation_scores(kills),
+            "mutation_scores": kill_rates(evaluation.kills, ["split"], rng),
             "minimum_detectable": minimum_detectable(kills),
         }
     return tables
 
 
 def _judged(evaluation: CampaignEvaluation) -> pd.DataFrame:
-    """Return a row for each run: its keys, its scores and p-values, and its outcome.
+    """Return a row for each run: its keys, its scores and p-values, exit code and outcome.
 
-    ``score`` and ``p`` belong to the verdict; those of ``tampering`` and ``misbehaviour`` have
+    ``score``, ``p`` and ``exit`` belong to the verdict; ``tampering`` and ``misbehaviour`` have
     their names as prefix. ``effect`` is the difference from unaltered runs of the block, in units
     of the uncertainty: above 1, the run misbehaved; NaN if unknown.
     """
@@ -71,6 +73,7 @@ def _judged(evaluation: CampaignEvaluation) -> pd.DataFrame:
     return features[[*KEYS]].assign(
         score=headline.score,
         p=headline.p,
+        exit=evaluation.verdicts.exits(),
         **aspects,
         effect=evaluation.effects.size,
         **{name: campaign.truth[name] for name in ended},
@@ -79,38 +82,32 @@ def _judged(evaluation: CampaignEvaluation) -> pd.DataFrame:
 
 def _raised(evaluation: CampaignEvaluation) -> pd.DataFrame:
     """Return a row for each alarm: its run, and the end of the window that raised it."""
-    campaign, alarm = evaluation.campaign, evaluation.watched.alarm
-    of_run = campaign.features["run_id"].to_numpy()[campaign.run[alarm]]
-    return pd.DataFrame({"run_id": of_run, "at_s": campaign.end_s[alarm]})
+    judged = [verdict for verdict in evaluation.verdicts.verdicts if verdict is not None]
+    rows = [(verdict.recording, alarm.time_s) for verdict in judged for alarm in verdict.alarms]
+    return pd.DataFrame(rows, columns=["run_id", "at_s"])
 
 
 def _summary(evaluation: CampaignEvaluation) -> dict[str, float | int | str]:
     campaign, first_row = evaluation.campaign, evaluation.table.iloc[0]
-    area = Estimate.of_row(first_row, "auc")
-    doubts = integrity_checks.banner(evaluation.checks)
+    figures = {name: Estimate.of_row(first_row, name) for name in FIGURES}
+    rates = [figures[name] for name in EXIT_RATES]
     runs = _judged(evaluation)
+    claimed = all(np.isfinite(rate.value) for rate in rates) and not any(
+        check.status == "red" for check in evaluation.checks
+    )
     return {
-        "headline": in_words(area) if _area_is_claimed(evaluation) else _ranked(Ranking.of(runs)),
+        "headline": in_words(*rates) if claimed else _ranked(Ranking.of(runs)),
         "verdicts": verdicts(runs),
-        "banner": doubts,
-        "scorer": f"{HEADLINE.detector} on {HEADLINE.features} features, level {HEADLINE.level}",
+        "banner": integrity_checks.banner(evaluation.checks),
+        "scorer": "reference cards of other blocks, as oracle score uses them",
         "malicious_runs": int(campaign.malicious.sum()),
         "normal_runs": int((~campaign.malicious).sum()),
         "blocks": len(np.unique(campaign.block)),
         "left_out": evaluation.left_out,
         "seed": evaluation.seed,
         "content_hash": content_hash(campaign.features),
-        **facts("auc", area),
-        **facts("detection_rate_5", Estimate.of_row(first_row, "detection_rate_5")),
-        **facts("false_alarm_rate_5", Estimate.of_row(first_row, "false_alarm_rate_5")),
+        **{key: value for name, of in figures.items() for key, value in facts(name, of).items()},
     }
-
-
-def _area_is_claimed(evaluation: CampaignEvaluation) -> bool:
-    """Return whether there is an AUC and every integrity check is green."""
-    return bool(np.isfinite(evaluation.table["auc"].iloc[0])) and not integrity_checks.banner(
-        evaluation.checks
-    )
 
 
 def _ranked(ranking: Ranking) -> str:
@@ -139,32 +136,28 @@ def _ranked(ranking: Ranking) -> str:
 
 
 def verdicts(runs: pd.DataFrame) -> str:
-    """Return a sentence on the runs called anomalous at the usual rate; empty without p-values."""
-    judged = runs[runs["p"].notna()]
+    """Return sentences on the runs that the verdicts call wrong; empty without verdicts."""
+    judged = runs[runs["exit"].notna()]
     if judged.empty:
         return ""
-    called, attacked = judged["p"] <= RATES[0], is_malicious(judged)
+    attacked = is_malicious(judged)
+    by_exit, by_features = (
+        f"{int(called[attacked].sum())} of {attacked.sum()} attacked and "
+        f"{int(called[~attacked].sum())} of {(~attacked).sum()} normal runs"
+        for called in (judged["exit"] == 1.0, judged["p"] <= RATE)
+    )
     return (
-        f"At a nominal false positive rate of {RATES[0]:.0%}, {int(called[attacked].sum())} of "
-        f"{attacked.sum()} attacked and {int(called[~attacked].sum())} of {(~attacked).sum()} "
-        "normal runs are called anomalous."
+        f"At a nominal false positive rate of {RATE:.0%}, the exit code is 1 for {by_exit}. By "
+        f"features alone, {by_features} are anomalous."
     )
 
 
-def in_words(area: Estimate) -> str:
-    """Return the claim that an AUC with its interval supports.
+def in_words(detected: Estimate, false: Estimate) -> str:
+    """Return the headline: how often users get exit code 1.
 
     Examples
     --------
-    >>> in_words(Estimate(0.55, 0.41, 0.68))
-    'Attacked and normal runs cannot be distinguished: AUC 0.55 [0.41, 0.68] contains 0.5 (chance).'
+    >>> in_words(Estimate(0.97, 0.92, 0.99), Estimate(0.04, 0.02, 0.08))
+    'Exit code 1 for 0.97 [0.92, 0.99] of attacked and 0.04 [0.02, 0.08] of normal runs.'
     """
-    if area.covers(0.5):
-        return (
-            f"Attacked and normal runs cannot be distinguished: AUC {area} contains 0.5 (chance)."
-        )
-    if area.high < 0.5:
-        return f"Attacked runs look more usual than normal ones: AUC {area}, below chance."
-    if area.low < 0.85:
-        return f"Attacked runs stand out, but not reliably: AUC {area}, above chance."
-    return f"Attacked runs stand out clearly: AUC {area}."
+    return f"Exit code 1 for {detected} of attacked and {false} of normal runs."

@@ -13,7 +13,8 @@ import pandas as pd
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.datasets import is_hard_negative, is_malicious
-from oracle_pipeline.evaluation.comparisons import RATES, SHADOW
+from oracle_pipeline.evaluation.card_verdicts import RATE
+from oracle_pipeline.evaluation.comparisons import SHADOW
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.evidence import evidence
 from oracle_pipeline.scoring.verdict import Evidence
@@ -64,7 +65,7 @@ def explanations(
 
 def _typical(runs: pd.DataFrame) -> pd.Series:
     """Return the run with the median score among the detected runs, or else among all."""
-    detected = runs[runs["p"] <= RATES[0]]
+    detected = runs[runs["p"] <= RATE]
     ranked = (detected if len(detected) else runs).sort_values(["score", "run_id"])
     return ranked.iloc[(len(ranked) - 1) // 2]
 
@@ -117,6 +118,6 @@ def counterpart(run: str, df: pd.DataFrame) -> list[str]:
 
 def _verdict(p: float) -> str:
     if np.isnan(p):
-        return f"Not judged: there are too few normal runs for a verdict at {RATES[0]:.0%}."
-    called = "Called" if p <= RATES[0] else "Not called"
-    return f"{called} anomalous at a false positive rate of {RATES[0]:.0%}: p = {p:.3g}."
+        return f"Not judged: there are too few normal runs for a verdict at {RATE:.0%}."
+    called = "Called" if p <= RATE else "Not called"
+    return f"{called} anomalous at a false positive rate of {RATE:.0%}: p = {p:.3g}."

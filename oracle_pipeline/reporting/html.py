@@ -23,7 +23,6 @@ from oracle_pipeline.reporting.kinds_tables import tables_of_kinds
 from oracle_pipeline.reporting.searched import Searched
 from oracle_pipeline.reporting.stored_report import Report
 from oracle_pipeline.reporting.tables import (
-    PageColumn,
     PageTable,
     evidence_table,
     plain_table,
@@ -33,20 +32,17 @@ from oracle_pipeline.reporting.templating import Picture, picture, run_picture, 
 
 LIBRARIES = ("numpy", "scipy", "scikit-learn", "pandas", "networkx", "matplotlib", "mujoco")
 NO_STORAGE = pd.DataFrame()
-_SCORER = [*HEADLINE._fields, "split"]
 
 
 def render(
     *,
     evaluation: Report,
     explained: Sequence[Explanation],
-    giveaways: pd.DataFrame,
     record: Recorder,
     grid: Report,
     rates: Report,
     pairs: Report,
     side_by_side: Report,
-    null_model: Report,
     radar: Mapping[str, bytes],
     provenance: Mapping[str, str],
     storage: pd.DataFrame = NO_STORAGE,
@@ -61,11 +57,9 @@ def render(
         From `oracle_pipeline.reporting.evaluation_report`.
     explained : sequence of Explanation
         Attacked runs, each with its evidence.
-    giveaways : DataFrame
-        From `oracle_pipeline.evaluation.giveaways`.
     record : callable
         Returns the command that records further runs.
-    grid, rates, pairs, side_by_side, null_model : Report
+    grid, rates, pairs, side_by_side : Report
         From the functions of ``oracle_pipeline.reporting.thesis_reports``.
     radar : mapping of str to bytes
         PNG pictures of an attacked air traffic run and its control, by run; may be empty.
@@ -83,7 +77,6 @@ def render(
         "rates": rates,
         "pairs": pairs,
         "side_by_side": side_by_side,
-        "null_model": null_model,
     }
     return template("report.html.j2").render(
         screen=first_screen(evaluation, record),
@@ -103,10 +96,9 @@ def render(
             **_tables_of_evaluation(evaluation),
             **tables_of_kinds(evaluation.tables),
             **{name: table(name, report.table) for name, report in thesis.items()},
-            "giveaways": _table_of_giveaways(giveaways),
             "storage": plain_table("Storage", storage),
         },
-        roc={"evaluation": evaluation.figures.get("roc"), "grid": grid.figures.get("roc")},
+        roc=grid.figures.get("roc"),
         forest={
             "rates": rates.figures["rates"],
             "pairs": pairs.figures["pairs"],
@@ -116,7 +108,6 @@ def render(
         trees=[*_dendrograms(grid), *_dendrograms(pairs)],
         picture=picture,
         warning=side_by_side.summary["warning"],
-        null_headline=null_model.summary["headline"],
         reading=_thesis_reading(pairs.table.iloc[0]),
         provenance={**provenance, **_draws(pairs, evaluation)},
     )
@@ -140,47 +131,17 @@ def provenance(df: pd.DataFrame) -> dict[str, str]:
 def _tables_of_evaluation(evaluation: Report) -> dict[str, PageTable]:
     """Return the tables of `oracle_evaluation` by name."""
     judged, further = evaluation.table, evaluation.tables
-    headline = _rows(judged, **HEADLINE._asdict())
-    overall = headline["scope"].isin([ALL_MODES, HARD_NEGATIVES])
-    headline = headline[(headline["split"] == BLOCK) | overall]
-    scopes = [scope for scope in headline["scope"] if "/" in scope]
-    areas = [PageColumn(scope, scope) for scope in scopes]
+    of_cards = judged["detector"] == HEADLINE.detector
+    overall = judged["scope"].isin([ALL_MODES, HARD_NEGATIVES])
     tables = {
-        "verdicts": table("verdicts", headline),
-        "scorers": table("scorers", _rows(judged, scope=ALL_MODES)),
-        "areas": table("areas", _areas(judged, scopes), areas),
+        "verdicts": table("verdicts", judged[of_cards & ((judged["split"] == BLOCK) | overall)]),
+        "scorers": table("scorers", judged[(judged["scope"] == ALL_MODES)]),
     }
     for name in ("alarms", "aspects", "aspects_by_mode", "minimum_detectable", "mutation_scores",
                  "kills"):  # fmt: skip
         if name in further:
             tables[name] = table(name, further[name])
     return tables
-
-
-def _rows(table: pd.DataFrame, **values: str) -> pd.DataFrame:
-    """Return the rows that have these values."""
-    return table[(table[list(values)] == list(values.values())).all(axis=1)]
-
-
-def _areas(judged: pd.DataFrame, scopes: Sequence[str]) -> pd.DataFrame:
-    """Return one row for each scorer, with its AUC in each scope under the scope's name."""
-    joined = judged[_SCORER].drop_duplicates().set_index(_SCORER)
-    for scope in scopes:
-        of_scope = judged[judged["scope"] == scope].set_index(_SCORER)
-        for end in ("", "_low", "_high"):
-            joined[f"{scope}{end}"] = of_scope[f"auc{end}"]
-    return joined.reset_index()
-
-
-def _table_of_giveaways(giveaways: pd.DataFrame) -> PageTable:
-    """Return the features that show each attacked mode; only its first row has the mode's name."""
-    text = giveaways.astype(str)
-    shown = giveaways.assign(
-        mode=text["mode"].mask(giveaways.duplicated("mode"), ""),
-        outside=text["outside"] + " of " + text["runs"],
-        normal=text["outside_normal"] + " of " + text["normal"],
-    )
-    return table("giveaways", shown)
 
 
 def _draws(pairs: Report, evaluation: Report) -> dict[str, str]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.scratch import replaced_folder
 from oracle_pipeline.detectors import Deviation, by_family
-from oracle_pipeline.evaluation.comparisons import RATES
+from oracle_pipeline.evaluation.card_verdicts import RATE
 from oracle_pipeline.evaluation.unusual_windows import UnusualWindows
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.reporting.explanation import drawn
@@ -130,9 +130,9 @@ def _verdict(judged: pd.Series | None, scored: int) -> str:
         return "Not judged: a score needs normal runs of three blocks."
     where = f"Score {judged['score']:.3g}, rank {judged['rank']:.0f} of {scored}."
     if np.isnan(judged["p"]):
-        return f"{where} No verdict: there are too few normal blocks for one at {RATES[0]:.0%}."
-    called = "Anomalous" if judged["p"] <= RATES[0] else "Not anomalous"
-    return f"{called} at a false positive rate of {RATES[0]:.0%}: p = {judged['p']:.3g}. {where}"
+        return f"{where} No verdict: there are too few normal blocks for one at {RATE:.0%}."
+    called = "Anomalous" if judged["p"] <= RATE else "Not anomalous"
+    return f"{called} at a false positive rate of {RATE:.0%}: p = {judged['p']:.3g}. {where}"
 
 
 def _goals(manifest: Manifest) -> PageTable:

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.datasets import is_malicious
-from oracle_pipeline.evaluation.comparisons import RATES
+from oracle_pipeline.evaluation.card_verdicts import RATE
 from oracle_pipeline.reporting.two_scores import KINDS, called_kinds
 
 MARGIN = 2.5  # left and right of the marks [%]
@@ -84,7 +84,7 @@ def strip_plot(
                 height / 2 + JITTER[number % len(JITTER)] * height / 10,
                 page_of(run.run_id),
                 f"{run.run_id}: {run.score:.3g}",
-                bool(run.p <= RATES[0]) or not with_verdicts,
+                bool(run.p <= RATE) or not with_verdicts,
             )
             for number, run in enumerate(of_mode.itertuples())
         ]

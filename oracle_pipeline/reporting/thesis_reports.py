@@ -1,9 +1,8 @@
 """Reports on the thesis's method: from feature tables to a `Report` of tables, pictures and facts.
 
 The first four apply one variant of the thesis's method, which draws copies of runs and clusters
-them. `side_by_side` compares both variants with the printed results, and `null_model` applies the
-method to meaningless labels. Tables are built in ``thesis_tables``, pictures in ``figures``; our
-own evaluation is in ``evaluation_report``.
+them. `side_by_side` compares both variants with the printed results. Tables are built in
+``thesis_tables``, pictures in ``figures``; our own evaluation is in ``evaluation_report``.
 """
 
 import numpy as np
@@ -21,7 +20,6 @@ from oracle_pipeline.evaluation.metrics import RocCurve, auc, roc_curve
 from oracle_pipeline.evaluation.variants import VARIANTS, MethodVariant, VariantName
 from oracle_pipeline.reporting import charts, thesis_tables
 from oracle_pipeline.reporting.stored_report import Report, facts
-from oracle_pipeline.reporting.thesis_figures import FAMILIES
 from oracle_pipeline.reporting.thesis_tables import Bootstraps
 
 ROWS, MALICIOUS_RATE, SEED = 1000, 0.3, 50  # the thesis's bootstrap
@@ -237,47 +235,3 @@ def side_by_side(
         "warning": THESIS_WARNING,
     }
     return Report(table, {"reproduced": picture}, summary)
-
-
-def null_model(repetitions: int = 50, seed: int = SEED) -> Report:
-    """Apply the thesis's method to runs whose features do not depend on their labels.
-
-    Parameters
-    ----------
-    repetitions : int
-        Experiments of 90 runs for each share of long runs.
-    seed : int
-        Of the generator of the runs.
-    """
-    table = thesis_tables.null_model_table(repetitions, seed)
-    usual = table[table["p_long"] == thesis_tables.P_LONG].iloc[0]
-    recall, area = Estimate.of_row(usual, "recall"), Estimate.of_row(usual, "auc")
-    return Report(
-        table,
-        {},
-        {
-            "headline": null_headline(recall, area),
-            "repetitions": repetitions,
-            "seed": seed,
-            **facts("recall", recall),
-            **facts("auc", area),
-        },
-    )
-
-
-def null_headline(recall: Estimate, area: Estimate) -> str:
-    """Return a sentence on whether the thesis's headline can be distinguished from chance.
-
-    Examples
-    --------
-    >>> null_headline(Estimate(0.96, 0.81, 1.0), Estimate(0.50, 0.45, 0.55))  # doctest: +ELLIPSIS
-    'The thesis reports an "accuracy" of 0.953 and an AUC of 0.504: not distinguishable from ...'
-    """
-    thesis = FAMILIES["all"]
-    by_chance = recall.covers(thesis.recall) and area.covers(thesis.auc)
-    return (
-        f'The thesis reports an "accuracy" of {thesis.recall:.3f} and an AUC of {thesis.auc:.3f}: '
-        f"{'not distinguishable' if by_chance else 'distinguishable'} from chance, because its "
-        f'method gives an "accuracy" of {recall} and an AUC of {area} with meaningless labels '
-        "(median and 95% range of the experiments)."
-    )

@@ -17,9 +17,6 @@ from oracle_pipeline.clustering.grid_settings import GridSettings
 from oracle_pipeline.datasets import DatasetError
 from oracle_pipeline.evaluation.clustering_result import ClusteringResult, cluster_and_judge
 from oracle_pipeline.evaluation.comparisons import ALL_MODES
-from oracle_pipeline.evaluation.estimate import Estimate
-from oracle_pipeline.evaluation.metrics import BAND
-from oracle_pipeline.evaluation.null_model import best_cluster_rates
 from oracle_pipeline.evaluation.variants import CORRECTED, THESIS, FeatureSet, MethodVariant
 from oracle_pipeline.reporting.thesis_figures import (
     FAMILIES,
@@ -34,7 +31,6 @@ from oracle_pipeline.reporting.thesis_figures import (
 THESIS_GRID = GridSettings()
 FEATURE_SETS: tuple[FeatureSet, ...] = ("all", "structural", "contextual")
 MALICIOUS_RATES = (0.1, 0.3, 0.5, 0.7, 0.9)
-P_LONG = 0.05  # share of very long runs in the headline of the null model
 
 
 def grid_search_table(
@@ -206,29 +202,6 @@ def _renamed(table: pd.DataFrame, prefix: str, **estimates: str) -> pd.DataFrame
         f"{old}{end}": f"{prefix}_{new}{end}" for new, old in estimates.items() for end in ends
     }
     return table[list(names)].rename(columns=names)
-
-
-def null_model_table(repetitions: int, seed: int) -> pd.DataFrame:
-    """Tabulate the results of the thesis's method on meaningless labels.
-
-    Returns
-    -------
-    DataFrame
-        One row for each share of very long runs, ``p_long``: ``recall``, ``fpr`` and ``auc`` of the
-        best cluster, as the median and the 95% range (``_low``, ``_high``) of the repetitions.
-        ``reaches_headline`` is the share of repetitions with at least the thesis's recall.
-    """
-    table = []
-    for p_long in (0.0, 0.02, P_LONG, 0.1):
-        rates = best_cluster_rates(p_long, repetitions, seed)
-        row: dict[str, float] = {"p_long": p_long}
-        for name in ("recall", "fpr", "auc"):
-            low, high = np.percentile(rates[name], BAND)
-            median = Estimate(float(rates[name].median()), float(low), float(high))
-            row |= median.columns(name)
-        reached = rates["recall"] >= FAMILIES["all"].recall
-        table.append(row | {"reaches_headline": float(reached.mean())})
-    return pd.DataFrame(table)
 
 
 def _thesis_columns(thesis: ThesisFigure | None) -> dict[str, float | str]:

@@ -12,7 +12,7 @@ import pandas as pd
 from oracle_pipeline.bags.behaviour import UNITS, behaviour
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.datasets import is_malicious
-from oracle_pipeline.evaluation.comparisons import RATES
+from oracle_pipeline.evaluation.card_verdicts import RATE
 from oracle_pipeline.evaluation.task_effects import REPEATS
 from oracle_pipeline.reporting.tables import NO_FIGURE, PageTable, plain_table
 from oracle_pipeline.reporting.templating import number
@@ -35,7 +35,7 @@ def called_kinds(runs: pd.DataFrame) -> pd.Series:
         The table ``runs`` of `oracle_evaluation`.
     """
     p = runs[[f"{aspect}_p" for aspect in ASPECTS]]
-    called = p <= RATES[0]
+    called = p <= RATE
     return _kinds(called["tampering_p"], called["misbehaviour_p"], p.notna().all(axis=1))
 
 
@@ -90,7 +90,7 @@ def scores_table(
         )
         for aspect in ASPECTS
     ]
-    heads = ["two questions", "score", "p", f"called at {RATES[0]:.0%}", "in truth"]
+    heads = ["two questions", "score", "p", f"called at {RATE:.0%}", "in truth"]
     return plain_table("Tampering and misbehaviour", pd.DataFrame(rows, columns=heads))
 
 
@@ -141,7 +141,7 @@ def _misbehaved(judged: pd.Series, uncertainty: Mapping[str, float]) -> str:
 def _verdict(aspect: str, p: float) -> str:
     if np.isnan(p):
         return NO_FIGURE
-    return _CALLED[aspect] if p <= RATES[0] else f"not {_CALLED[aspect]}"
+    return _CALLED[aspect] if p <= RATE else f"not {_CALLED[aspect]}"
 
 
 def _name(quantity: str) -> str:

@@ -9,10 +9,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import progress_bar
@@ -21,7 +22,7 @@ from oracle_pipeline.detectors import SignalScaler, by_family, explain
 from oracle_pipeline.features import FeatureManager, FeatureTables
 from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.roles_file import RoleChoices
-from oracle_pipeline.scoring.alarms import RATE_PER_H, Alarm, AlarmWatch
+from oracle_pipeline.scoring.alarms import RATE_PER_H, Alarm, AlarmRule, AlarmWatch
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.comparable import same_recording, shared_features
 from oracle_pipeline.scoring.conformal import adjusted_for_suite, runs_needed
@@ -46,8 +47,17 @@ from oracle_pipeline.scoring.verdict import (
 )
 from oracle_pipeline.windows import WINDOW_S
 
+NO_BLOCK = int(np.iinfo(np.int64).min)  # of a recording that the card was not learned from
 _OF_ALL_TOPICS = "generic."  # prefix of features that sum or compare all topics
 _LACKS_TOPICS = "topics of the reference are not recorded"
+
+
+class Recording(NamedTuple):
+    """A recording whose features are known."""
+
+    name: str
+    tables: FeatureTables
+    seen: Observation | None  # its interfaces; without them, the contract is not compared
 
 
 class CardSource(Protocol):
@@ -252,61 +262,95 @@ def judge(
     return decided(replace(_scored(recording, tables, card, seen), card=card.origin), far)
 
 
+def judge_all(recordings: Sequence[Recording], card: ReferenceCard, far: float) -> list[Verdict]:
+    """Judge recordings at once, as `judge` does each of them, but without evidence."""
+    return [decided(verdict, far) for verdict, _ in _without_evidence(recordings, card)]
+
+
 def _scored(
     recording: str, tables: FeatureTables, card: ReferenceCard, seen: Observation | None
 ) -> Verdict:
-    """Return score, p-value and evidence of one recording, without an outcome.
+    """Return score, p-value and evidence of one recording, without an outcome."""
+    ((verdict, tables),) = _without_evidence([Recording(recording, tables, seen)], card)
+    if verdict.outcome == "another system":
+        return verdict
+    design = card.scorer.design
+    columns, notes = shared_features(tables.run, card.runs, design.run_features)
+    block = _known_block(tables.run, card)
+    if block != NO_BLOCK:
+        notes.append("Its block is part of the reference: all runs of that block are left out.")
+    others = card.runs[card.runs["block"] != block]
+    deviations = explain(others, tables.run, columns) if design.uses_features else []
+    if signals := [column for column in design.run_signals if column in tables.run.columns]:
+        deviations += explain(others, tables.run, signals, SignalScaler)
+    return replace(
+        verdict,
+        features=len(columns),
+        evidence=farthest_features(deviations, tables, card.scorer.scorers_[0].usual_in_windows),
+        families=tuple(by_family(deviations, [*columns, *signals])),
+        notes=tuple(notes),
+    )
+
+
+def _without_evidence(
+    recordings: Sequence[Recording], card: ReferenceCard
+) -> list[tuple[Verdict, FeatureTables]]:
+    """Return a verdict on each recording, without outcome and evidence, and what is compared.
 
     A recording of one of the card's blocks (same start, goals and nuisance) is scored by the scorer
     that was not fitted on the block, and the block has no vote. So a run of a campaign gets the
     same verdict as in the evaluation.
     """
+    found = [_compared(each, card) for each in recordings]
+    alike = [n for n, (verdict, _) in enumerate(found) if verdict.outcome != "another system"]
+    if not alike:
+        return found
+    measured = _joined([_measured(found[n][1], card) for n in alike])
+    block = np.array([_known_block(found[n][1].run, card) for n in alike])
+    headline = _aspect_scores(card.scorer, measured, block)
+    aspects = {name: _aspect_scores(of, measured, block) for name, of in card.aspects.items()}
+    alarms = _alarms(card.scorer, measured, block)
+    for row, n in enumerate(alike):
+        verdict, tables = found[n]
+        verdict = replace(
+            verdict,
+            p_value=headline[row].p_value,
+            suite_p_value=headline[row].p_value,
+            score=headline[row].score,
+            aspects={name: scores[row] for name, scores in aspects.items()},
+            alarms=alarms[row][0],
+            alarms_per_h=alarms[row][1],
+            normal_runs=int((card.runs["block"] != block[row]).sum()),
+            normal_blocks=int((np.unique(card.scorer.block_) != block[row]).sum()),
+        )
+        found[n] = verdict, tables
+    return found
+
+
+def _compared(recording: Recording, card: ReferenceCard) -> tuple[Verdict, FeatureTables]:
+    """Return what is known without statistics, and the features that can be compared."""
+    name, tables, seen = recording
     cautions = _moved(seen, card.known)
     if card.contract is not None and seen is not None:
         share, differences = likeness(card.contract, seen, card.runs.columns, tables.run.columns)
         if share < LEAST:
-            return Verdict(
-                recording,
+            unlike = Verdict(
+                name,
                 "another system",
                 cautions=cautions,
                 in_common=share,
                 differences=differences,
             )
+            return unlike, tables
         if any(t.always and name not in seen.topics for name, t in card.contract.topics.items()):
             tables = _without_rates(tables)
-    measured = _measured(tables, card)
-    design = card.scorer.design
-    columns, notes = shared_features(tables.run, card.runs, design.run_features)
-    block = _known_block(tables.run, card)
-    headline = _aspect_score(card.scorer, measured, block)
-    votes = len(np.unique(card.scorer.block_)) - (block is not None)
-    alarms, per_hour = _alarms(card.scorer, measured, block)
-    if block is not None:
-        notes.append("Its block is part of the reference: all runs of that block are left out.")
-    others = card.runs if block is None else card.runs[card.runs["block"] != block]
-    deviations = explain(others, tables.run, columns) if design.uses_features else []
-    if signals := [column for column in design.run_signals if column in tables.run.columns]:
-        deviations += explain(others, tables.run, signals, SignalScaler)
-    return Verdict(
-        recording,
+    verdict = Verdict(
+        name,
         "unsupported",  # until `decide_suite` sets the outcome
         contract=_breaches(card, seen),
-        p_value=headline.p_value,
-        suite_p_value=headline.p_value,
-        score=headline.score,
-        aspects={
-            name: _aspect_score(scorer, measured, block) for name, scorer in card.aspects.items()
-        },
-        alarms=alarms,
-        alarms_per_h=per_hour,
-        features=len(columns),
-        normal_runs=len(others),
-        normal_blocks=votes,
-        evidence=farthest_features(deviations, tables, card.scorer.scorers_[0].usual_in_windows),
-        families=tuple(by_family(deviations, [*columns, *signals])),
-        notes=tuple(notes),
         cautions=cautions,
     )
+    return verdict, tables
 
 
 def _moved(seen: Observation | None, known: Known | None) -> tuple[str, ...]:
@@ -335,33 +379,35 @@ def _without_rates(tables: FeatureTables) -> FeatureTables:
     )
 
 
-def _aspect_score(
-    scorer: CrossConformalScorer, measured: MeasuredRuns, block: int | None
-) -> AspectScore:
-    """Return p-value and score of one recording."""
-    scores, known = scorer.scores(measured), None if block is None else np.array([block])
-    p = float(scorer.p_values(scores, known)[0])
-    return AspectScore(p, p, float(scorer.own_score(scores, known)[0]))
+def _aspect_scores(
+    scorer: CrossConformalScorer, measured: MeasuredRuns, block: NDArray[np.int64]
+) -> list[AspectScore]:
+    """Return p-value and score of each recording."""
+    scores = scorer.scores(measured)
+    p, own = scorer.p_values(scores, block), scorer.own_score(scores, block)
+    return [AspectScore(*each) for each in zip(p.tolist(), p.tolist(), own.tolist(), strict=True)]
 
 
 def _alarms(
-    scorer: CrossConformalScorer, measured: MeasuredRuns, block: int | None
-) -> tuple[tuple[Alarm, ...], float | None]:
-    """Return the alarms of one recording, and the promised rate of false alarms per hour."""
+    scorer: CrossConformalScorer, measured: MeasuredRuns, block: NDArray[np.int64]
+) -> list[tuple[tuple[Alarm, ...], float | None]]:
+    """Return the alarms of each recording, and the promised rate of false alarms per hour."""
     if scorer.windows_ is None:
-        return (), None
-    normal = scorer.windows_ if block is None else scorer.windows_.without(block)
-    rule = normal.rule(max(RATE_PER_H, normal.lowest_rate()))
-    watch, known = (
-        AlarmWatch(rule),
-        None if block is None else np.full(len(measured.windows), block),
-    )
-    scores = scorer.window_scores(measured.windows, known)
-    ends_s = measured.start_s + WINDOW_S
+        return [((), None)] * len(block)
+    scores = scorer.window_scores(measured.windows, block[measured.run])
     families = scorer.window_families(measured.windows)
-    fed = zip(ends_s.tolist(), scores.tolist(), families, strict=True)
-    raised = (watch.feed(*each) for each in fed)
-    return tuple(alarm for alarm in raised if alarm is not None), rule.per_hour
+    ends_s = measured.start_s + WINDOW_S
+    rules: dict[int, AlarmRule] = {}
+    raised: list[tuple[tuple[Alarm, ...], float | None]] = []
+    for row, own in enumerate(block.tolist()):
+        if own not in rules:
+            normal = scorer.windows_ if own == NO_BLOCK else scorer.windows_.without(own)
+            rules[own] = normal.rule(max(RATE_PER_H, normal.lowest_rate()))
+        watch = AlarmWatch(rules[own])
+        fed = ((ends_s[n], scores[n], families[n]) for n in np.flatnonzero(measured.run == row))
+        alarms = (watch.feed(float(end), float(score), by) for end, score, by in fed)
+        raised.append((tuple(filter(None, alarms)), rules[own].per_hour))
+    return raised
 
 
 def _breaches(card: ReferenceCard, seen: Observation | None) -> tuple[str, ...]:
@@ -382,11 +428,20 @@ def _measured(tables: FeatureTables, card: ReferenceCard) -> MeasuredRuns:
     return MeasuredRuns.ordered(run, windows)
 
 
-def _known_block(row: pd.DataFrame, card: ReferenceCard) -> int | None:
-    """Return the block of the recording if the card was learned from that block."""
+def _joined(recordings: Sequence[MeasuredRuns]) -> MeasuredRuns:
+    """Return recordings of the same columns as the runs of one table."""
+    return MeasuredRuns(
+        pd.concat([each.features for each in recordings], ignore_index=True),
+        pd.concat([each.windows for each in recordings], ignore_index=True),
+        np.repeat(np.arange(len(recordings)), [len(each.run) for each in recordings]),
+    )
+
+
+def _known_block(row: pd.DataFrame, card: ReferenceCard) -> int:
+    """Return the block of the recording if the card was learned from it, else `NO_BLOCK`."""
     (identical,) = np.nonzero(same_recording(card.runs, row))
     if len(identical):
         return int(card.runs["block"].iloc[identical[0]])
     block = int(row["block"].iloc[0])
     of_card = row["label"].iloc[0] != "unknown" and block in card.scorer.block_
-    return block if of_card else None
+    return block if of_card else NO_BLOCK

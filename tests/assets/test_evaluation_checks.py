@@ -13,7 +13,7 @@ from resources.store import RunStore
 pytestmark = pytest.mark.slow
 
 STATUS = {
-    "shuffled_labels_are_chance": "red",
+    "graphs_of_pairs_are_equal": "red",
     "hard_negatives_pass": "unsupported",
 }
 
@@ -39,7 +39,7 @@ def test_red_fails_unsupported_warns_and_green_passes(tmp_path: Path) -> None:
     found = {e.check_name: e for e in shown(tmp_path).get_asset_check_evaluations()}
     assert set(found) == {spec.name for spec in CHECKS}
     assert {name for name, e in found.items() if not e.passed} == set(STATUS)
-    assert found["shuffled_labels_are_chance"].severity is dg.AssetCheckSeverity.ERROR
+    assert found["graphs_of_pairs_are_equal"].severity is dg.AssetCheckSeverity.ERROR
     assert found["hard_negatives_pass"].severity is dg.AssetCheckSeverity.WARN
     green = found["sessions_score_alike"]
     assert green.description == "sessions_score_alike"

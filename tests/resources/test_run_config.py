@@ -21,7 +21,6 @@ HARMLESS_TEXT = {
     "ops.oracle_evaluation.config.testbed",  # compared with what manifests say
     "ops.bootstrapped_dataset.config.testbed",
     # Names from a fixed list; another one is an error.
-    "ops.oracle_evaluation.config.upper_bounds",
     "ops.clustering_grid_search.config.linkages",
     "ops.clustering_grid_search.config.metrics",
     "loggers.console.config.log_level",

@@ -13,6 +13,7 @@ from tools.bench import (
     ladder,
     live,
     navigation,
+    null_model,
     scenarios,
     storage,
     testbed,
@@ -31,6 +32,7 @@ BENCHMARKS = {
     "instance": instance.rows,
     "ladder": ladder.rows,
     "live": live.rows,
+    "null_model": null_model.rows,
 }
 DEFAULT = ("testbed", "scenarios")  # speed, size and memory; the others take longer
 

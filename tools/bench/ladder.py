@@ -2,14 +2,14 @@
 
 Pairs of runs are recorded in closed loop. Further attacks are applied to the normal runs while
 their features are extracted. A rung is a set of topics that are left in the bag. Scores are those
-of the evaluation: run and windows, fitted and calibrated on normal runs of other blocks.
+of reference cards of other blocks.
 ``ORACLE_BENCH_RUNS`` names a folder to keep the runs in, ``ORACLE_BENCH_BLOCKS`` the number of
 blocks.
 """
 
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,11 +22,9 @@ from oracle_pipeline import features
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bootstrap import DistinctRuns
 from oracle_pipeline.datasets import feature_dataset, is_malicious, window_dataset
-from oracle_pipeline.detectors import DEFAULT_DETECTOR, panel
+from oracle_pipeline.evaluation.card_verdicts import card_folds, card_verdicts
 from oracle_pipeline.evaluation.estimate import Estimate
-from oracle_pipeline.evaluation.held_out import held_out
 from oracle_pipeline.evaluation.metrics import auc
-from oracle_pipeline.evaluation.splits import block_folds
 from oracle_pipeline.scoring.feature_sets import feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from sim.campaigns import Campaign
@@ -228,7 +226,7 @@ def _figures(attack: Attack, right: Tables, attacked: Tables) -> Iterator[Row]:
     columns = feature_sets(runs.features)["all"]
     before = [column for column in columns if column.partition(".")[0] not in _NEW]
     mode = runs.features["mode"].to_numpy()
-    score, earlier = (_score(runs, chosen) for chosen in (columns, before))
+    score, earlier = (_score(runs, without) for without in ((), set(columns).difference(before)))
     name = f"{attack.rung.name}: {attack.name}"
     against = {"control": (CONTROL, attack.goal)}
     if attack.alteration is None:
@@ -242,9 +240,14 @@ def _figures(attack: Attack, right: Tables, attacked: Tables) -> Iterator[Row]:
         )  # fmt: skip
 
 
-def _score(runs: MeasuredRuns, columns: Sequence[str]) -> NDArray[np.float64]:
-    folds = block_folds(runs.features, SEED)
-    return held_out(runs, columns, panel(SEED)[DEFAULT_DETECTOR], folds, "both").score
+def _score(runs: MeasuredRuns, without: Collection[str]) -> NDArray[np.float64]:
+    """Return the scores by reference cards that lack some features."""
+    left = MeasuredRuns(
+        runs.features.drop(columns=[*without]),
+        runs.windows.drop(columns=[*without], errors="ignore"),
+        runs.run,
+    )
+    return card_verdicts(left, card_folds(left.features, SEED)).scores().score
 
 
 def _auc(

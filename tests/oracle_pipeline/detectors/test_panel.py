@@ -5,8 +5,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sklearn.base import clone, is_classifier, is_outlier_detector
-from threadpoolctl import threadpool_limits
+from sklearn.base import clone, is_outlier_detector
 
 from oracle_pipeline.detectors import (
     DEFAULT_DETECTOR,
@@ -14,7 +13,6 @@ from oracle_pipeline.detectors import (
     named_detector,
     panel,
     pipeline,
-    upper_bounds,
 )
 from oracle_pipeline.detectors.panel import PLUGINS
 
@@ -136,16 +134,3 @@ def test_a_detector_that_cannot_score_is_named_with_its_package(place, tmp_path,
 def test_an_unknown_detector_is_refused_with_those_that_exist():
     with pytest.raises(DetectorError, match=f"no detector 'pac'; known are .*pca, .*{PLUGGED}"):
         named_detector("pac", 0)
-
-
-def test_upper_bounds_are_classifiers_and_no_part_of_the_panel():
-    bounds = upper_bounds(seed=3)
-    assert not set(bounds) & set(panel(3))
-    X = np.r_[normal_runs(), normal_runs(seed=1) + 2.0]
-    y = np.repeat([False, True], 80)
-    for classifier in bounds.values():
-        assert is_classifier(classifier)
-        assert classifier.random_state == 3
-        with threadpool_limits(1):  # threads cost more than so few rows are worth
-            probability = classifier.fit(X, y).predict_proba(X)[:, 1]
-        assert probability[y].mean() > 0.9 > 0.1 > probability[~y].mean()

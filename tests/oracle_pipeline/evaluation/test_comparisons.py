@@ -1,6 +1,5 @@
 import numpy as np
 import pandas as pd
-import pytest
 
 from oracle_pipeline.evaluation.comparisons import ComparedRuns, comparisons, judge
 from oracle_pipeline.evaluation.held_out import HeldOutScores
@@ -46,22 +45,29 @@ def test_metrics_equal_a_hand_calculation():
     p[right[:3]] = 0.05
     row = judged(campaign, score, p)
     assert (row["malicious"], row["normal"], row["blocks"]) == (9, n - 9, 3)
-    assert row["prevalence"] == 9 / n
-    assert row["auc"] == row["average_precision"] == row["detection_rate_5"] == 1.0
-    assert row["false_alarm_rate_5"] == 3 / (n - 9)
-    assert row["false_alarm_rate_5_low"] <= row["false_alarm_rate_5_bound"] <= 3 / (n - 9)
-    assert row["balanced_accuracy_5"] == pytest.approx(1 - 1.5 / (n - 9))
+    assert row["auc"] == row["detection_rate"] == 1.0
+    assert row["false_positive_rate"] == 3 / (n - 9)
+    assert row["false_positive_rate_low"] < 3 / (n - 9) < row["false_positive_rate_high"]
+    assert "exit_detection_rate" not in row
     assert row["note"] == ""
+
+
+def test_the_rates_of_the_exit_code_are_of_runs_with_a_verdict():
+    campaign = synthetic(3)
+    exits = np.where(campaign.malicious, 1.0, 0.0)
+    exits[np.flatnonzero(~campaign.malicious)[:2]] = 1.0, np.nan
+    everything = comparisons(campaign.features)[0]
+    scores = HeldOutScores(exits, np.ones_like(exits), 100)
+    row = judge(scores, campaign, everything, np.random.default_rng(0), exits=exits)
+    assert (row["exit_detection_rate"], row["detection_rate"]) == (1.0, 0.0)
+    assert row["exit_false_positive_rate"] == 1 / ((~campaign.malicious).sum() - 1)
 
 
 def test_an_unsupported_rate_has_no_values():
     campaign = synthetic(3)
     score, p = np.zeros((2, len(campaign.features)))
-    row = judged(campaign, score, p)
-    assert row["blocks_lacking_1"] == 247
-    assert np.isnan(row["detection_rate_1"])
     few = judged(campaign, score, p, calibration=18)
-    assert np.isnan(few["detection_rate_5"])
+    assert np.isnan(few["detection_rate"])
     assert "18 calibration runs, 5% needs 19" in few["note"]
 
 
@@ -69,8 +75,8 @@ def test_a_scope_without_attacks_gives_false_alarms_alone():
     campaign = synthetic(3)
     p = np.full(len(campaign.features), 0.04)
     row = judged(campaign, np.zeros_like(p), p, scope="benign_noise")
-    assert row["false_alarm_rate_5"] == 1.0
-    assert np.isnan([row["auc"], row["detection_rate_5"], row["mcc_5"]]).all()
+    assert row["false_positive_rate"] == 1.0
+    assert np.isnan([row["auc"], row["detection_rate"]]).all()
     assert row["note"] == "no malicious runs"
 
 

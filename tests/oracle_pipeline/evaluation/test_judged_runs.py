@@ -21,20 +21,6 @@ def test_windows_have_their_run_and_end_time():
     assert judged.end_s.tolist() == [*regular, 21.0, *regular[:6], 18.0]
 
 
-def test_attacked_windows_are_those_that_overlap_a_change():
-    judged = by_hand(("fake_object", 0, 40.0, 0.0, "[[20.0, 3, 0.5]]"))
-    attacked = judged.start_s[judged.attacked_windows()]
-    assert attacked.tolist() == [17.5, 20.0, 22.5]  # [15, 20) ends where the change begins
-
-
-def test_without_recorded_changes_all_windows_after_the_onset_are_attacked():
-    judged = by_hand(
-        ("delayed_fakeobject", 0, 40.0, 22.0, "[]"), ("delayed_passthrough", 0, 40.0, 22.0, "[]")
-    )
-    assert judged.start_s[judged.attacked_windows()].tolist() == [17.5 + 2.5 * n for n in range(8)]
-    assert (judged.run[judged.attacked_windows()] == 0).all()
-
-
 def test_an_attack_that_never_began_is_left_out_and_a_run_without_truth_is_an_error():
     judged = by_hand(
         ("delayed_fakeobject", 0, 20.0, np.nan, "[]"), ("lidar_passthrough", 0, 20.0, 0.0, "[]")

@@ -3,7 +3,12 @@ import pandas as pd
 import pytest
 
 from oracle_pipeline.datasets import DatasetError
-from oracle_pipeline.evaluation.kill_rates import kill_matrix, minimum_detectable, mutation_scores
+from oracle_pipeline.evaluation.kill_rates import (
+    MAGNITUDE,
+    kill_matrix,
+    kill_rates,
+    minimum_detectable,
+)
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from tests.oracle_pipeline.datasets.synthetic import ATTACKED, MODES, campaign
 
@@ -35,10 +40,25 @@ def test_the_detectable_magnitude_is_the_first_from_which_on_all_are_detected():
     assert np.isnan(magnitude((1, 1.0), (2, 0.8))).all()
 
 
-def test_the_mutation_score_leaves_equivalent_mutants_out():
-    row = mutation_scores(kills_by_hand((1, 0.2), (2, 1.0))).iloc[0]
-    assert (row["mutants"], row["killed"], row["mutation_score"]) == (20, 12, 0.6)
-    assert row["mutation_score_low"] < 0.6 < row["mutation_score_high"]
+def mutants_by_hand(blocks):
+    """Return 40 mutants, half of them killed by block, and four that changed nothing."""
+    block = np.append(np.arange(40) % blocks, [0, 1, 2, 3])
+    killed = block % 2 == 0
+    messages = np.repeat([9, 0], [40, 4])
+    same = {"split": "block", "scenario": "noise", "parameter": "level", "value": 1.0}
+    return pd.DataFrame({"block": block, "killed": killed, "changed_messages": messages} | same)
+
+
+def test_rates_leave_equivalent_mutants_out_and_their_intervals_count_blocks():
+    rng = np.random.default_rng(0)
+    alone, in_blocks = (
+        kill_rates(mutants_by_hand(blocks), ["split"], rng).iloc[0] for blocks in (40, 4)
+    )
+    for row in (alone, in_blocks):
+        counts = tuple(row[["mutants", "equivalent", "killed", "kill_rate"]])
+        assert counts == (44, 4, 20, 0.5)
+    width = alone["kill_rate_high"] - alone["kill_rate_low"]
+    assert in_blocks["kill_rate_high"] - in_blocks["kill_rate_low"] > 1.5 * width
 
 
 def grid_of(magnitudes, blocks=4, used=0):
@@ -60,8 +80,12 @@ def runs_of_campaign(**more):
     return MeasuredRuns.ordered(*campaign(24, **more)[:2])
 
 
+def rates_of(runs, grid):
+    return kill_rates(kill_matrix(runs, grid, seed=0), MAGNITUDE, np.random.default_rng(0))
+
+
 def test_stronger_attacks_are_killed_and_equivalent_mutants_do_not_count():
-    kills = kill_matrix(runs_of_campaign(), grid_of([0.0, 40.0]), seed=0)
+    kills = rates_of(runs_of_campaign(), grid_of([0.0, 40.0]))
     unchanged, strong = (kills[kills["value"] == value] for value in (0.0, 40.0))
     assert (unchanged["equivalent"] == 4).all()
     assert unchanged["kill_rate"].isna().all()
@@ -74,7 +98,7 @@ def test_an_attack_as_weak_as_a_hard_negative_is_detected_only_without_hard_nega
         harmless = table["mode"] == "benign_noise"
         for column, deviation in ATTACKED.items():
             table.loc[harmless, column] += 10.0 * deviation
-    kills = kill_matrix(MeasuredRuns.ordered(features, windows), grid_of([10.0]), seed=0)
+    kills = rates_of(MeasuredRuns.ordered(features, windows), grid_of([10.0]))
     rates = kills.set_index("split")["kill_rate"]
     assert rates["block"] < 0.5 < rates["block and hard negatives"]
 

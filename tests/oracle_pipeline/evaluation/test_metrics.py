@@ -4,24 +4,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sklearn.metrics import (
-    average_precision_score,
-    balanced_accuracy_score,
-    matthews_corrcoef,
-    roc_auc_score,
-)
+from sklearn.metrics import balanced_accuracy_score, matthews_corrcoef, roc_auc_score
 
 from oracle_pipeline.bootstrap import DistinctRuns
 from oracle_pipeline.evaluation.estimate import NOTHING, clopper_pearson
 from oracle_pipeline.evaluation.metrics import (
     MetricError,
     auc,
-    average_precision,
     confusion,
     decode_thesis_row,
     events_per_hour,
     false_positive_rate,
-    matthews,
     quantile,
     roc_curve,
     share,
@@ -138,18 +131,24 @@ def test_figures_that_no_hard_verdict_gives_are_an_error():
         decode_thesis_row(tpr=0.9, auc=0.3)
 
 
-@settings(max_examples=25)
-@given(samples())
-def test_average_precision_and_matthews_are_those_of_the_rows(sample):
-    score, runs = sample
-    precision = average_precision(score, runs, rng())
-    assert precision.value == pytest.approx(
-        average_precision_score(runs.malicious, score, sample_weight=runs.copies)
-    )
-    assert 0.0 <= precision.low <= precision.value <= precision.high <= 1.0
-    correlation = matthews(score > 2, runs, rng())
-    assert correlation.value == pytest.approx(confusion(score > 2, runs).mcc)
-    assert correlation.low <= correlation.value <= correlation.high
+def test_an_auc_within_groups_compares_no_runs_of_different_groups():
+    """A score that only names the group separates nothing within it."""
+    malicious = np.tile([True, True, True, False, False, False, False, True], 10)
+    mode = np.tile(np.repeat(["attack", "normal"], 4), 10)
+    block = np.repeat(np.arange(10), 8)
+    runs = runs_of(malicious, block=block)
+    names_the_mode = np.where(mode == "attack", 1.0, 0.0)
+    assert auc(names_the_mode, runs, rng()).value == 0.75
+    assert auc(names_the_mode, runs, rng(), within=mode).value == 0.5
+    score = np.random.default_rng(0).normal(size=80) + malicious
+    by_hand = [
+        float(np.mean(score[of & malicious][:, None] > score[of & ~malicious]))
+        for of in (mode == "attack", mode == "normal")
+    ]
+    area = auc(score, runs, rng(), within=mode)
+    assert area.value == pytest.approx(np.mean(by_hand))  # as many pairs in either mode
+    assert area.low < area.value < area.high
+    assert auc(score, runs, rng(), within=malicious) == NOTHING
 
 
 @settings(max_examples=25)

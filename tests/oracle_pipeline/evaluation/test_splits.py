@@ -51,7 +51,8 @@ def test_sessions_are_spread_over_folds_and_halves_unless_one_is_held_out():
     for fold in block_folds(df, 0):
         for side in (fold.fit, fold.calibrate, fold.test):
             assert set(session[side]) == {0, 1, 2}
-    assert [set(session[fold.test]) for fold in group_folds(df, "session", 0)] == [{0}, {1}, {2}]
+    held_out = [set(session[fold.test]) for fold in group_folds(df, "session", 0)]
+    assert sorted(held_out, key=min) == [{0}, {1}, {2}]
 
 
 @settings(max_examples=15, deadline=None)
@@ -64,19 +65,6 @@ def test_whole_sessions_are_held_out_in_five_folds_at_most(blocks, sessions, see
     assert sum(fold.test.astype(int) for fold in folds).tolist() == [1] * len(df)
     for fold in folds:
         assert set(df.loc[fold.test, "session"]).isdisjoint(df.loc[fold.train, "session"])
-
-
-@settings(max_examples=15, deadline=None)
-@given(st.integers(6, 25), st.integers(0, 9), st.integers(1, 4))
-def test_the_given_number_of_blocks_of_a_tested_session_train(blocks, seed, known):
-    df = runs(blocks)
-    block, session = df["block"].to_numpy(), df["session"].to_numpy()
-    folds = group_folds(df, "session", seed, known)
-    assert len(folds) == (3 if known < blocks // 3 else 0)
-    for number, fold in enumerate(folds):
-        assert set(session[fold.test]) == {number}
-        assert len(set(block[fold.train & (session == number)])) == known
-        assert set(block[fold.train]).isdisjoint(block[fold.test])
 
 
 def test_without_hard_negatives_they_are_tested_but_not_trained_on():

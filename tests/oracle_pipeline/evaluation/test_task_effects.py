@@ -89,8 +89,13 @@ def test_each_ground_truth_is_compared_with_its_own_score():
     assert table.loc[("misbehaviour", "all modes"), "auc"] == 1.0
     assert table.loc[("misbehaviour", "all modes"), "malicious"] == effects.misbehaved.sum()
     assert table.loc[("tampering", "all modes"), "auc"] == 0.5
+    assert table.loc[("misbehaviour", "all modes"), "auc_within_modes"] == 1.0
+    assert np.isnan(table.loc[("tampering", "all modes"), "auc_within_modes"])
     assert table.loc[("tampering", "all modes"), "malicious"] == judged.malicious.sum()
     modes = aspects_by_mode(scores, judged, effects, rng).set_index("mode")
+    both = modes["misbehaved"].between(0.0, 1.0, inclusive="neither")
+    assert both.any()
+    assert (modes.loc[both, "auc"] == 1.0).all()
     always = modes[modes["misbehaved"] == 1.0]
     assert (always["called_misbehaviour"] == 1.0).all()
     assert (modes["called_tampering"] == 0.0).all()

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from oracle_pipeline.clustering.scaling import CLIP
-from oracle_pipeline.evaluation.giveaways import SHOWN, deviations_of_runs, giveaways
+from oracle_pipeline.evaluation.run_deviations import deviations_of_runs
 from oracle_pipeline.evaluation.unusual_windows import unusual_windows
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.evidence import evidence
@@ -71,17 +71,3 @@ def test_a_run_is_compared_with_normal_runs_of_other_blocks_as_its_evidence_is(r
     assert [each.feature for each in beside] == [d.feature for d in found[row["run_id"].iloc[0]]][
         : len(beside)
     ]
-
-
-def test_features_that_an_attack_shifts_are_its_giveaways(recorded):
-    table = giveaways(recorded.features, deviations_of_runs(recorded.features))
-    assert set(table["mode"]) == {"fake_object", "random_noise", "delayed_fakeobject"}
-    first = table.groupby("mode").head(2)
-    assert set(first["feature"]) == {"structural.entropy", "contextual.yaw_variance"}
-    assert (first["outside"] == 8).all()
-    assert (table.groupby("mode").size() <= SHOWN).all()
-
-
-def test_a_campaign_without_attacks_has_no_giveaways():
-    features, _, _ = campaign(3, modes={"lidar_passthrough": "normal"})
-    assert giveaways(features, deviations_of_runs(features)).empty

@@ -12,8 +12,7 @@ import pytest
 from PIL import Image
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.evaluation import campaign_evaluation, integrity_checks, metrics
-from oracle_pipeline.evaluation.giveaways import deviations_of_runs, giveaways
+from oracle_pipeline.evaluation import campaign_evaluation, metrics
 from oracle_pipeline.evaluation.ranking import standing
 from oracle_pipeline.reporting import html, thesis_reports
 from oracle_pipeline.reporting.evaluation_report import evaluation_report
@@ -31,21 +30,13 @@ UNDRAWN = "lidar_passthrough|run003"
 
 @contextmanager
 def quickly():
-    """Two detectors, small forests, few resamples: slow parts have separate tests."""
-    panel, bounds, bound = (
-        campaign_evaluation.panel,
-        campaign_evaluation.upper_bounds,
-        campaign_evaluation.UPPER_BOUND,
-    )
+    """Two detectors, few resamples: slow parts have separate tests."""
+    panel = campaign_evaluation.panel
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             campaign_evaluation, "panel", lambda seed: {name: panel(seed)[name] for name in QUICK}
         )
-        small = {bound: bounds(0)[bound].set_params(n_estimators=5)}
-        patch.setattr(campaign_evaluation, "upper_bounds", lambda _: small)
         patch.setattr(metrics, "RESAMPLES", 100)
-        patch.setattr(integrity_checks, "TREES", 5)
-        patch.setattr(integrity_checks, "SHUFFLES", 40)
         yield
 
 
@@ -80,13 +71,11 @@ def parts_of(df, windows, truth, *, mutants=None, differences=None, **more):
         return {
             "evaluation": judged,
             "explained": explanations(df, windows, judged.tables["runs"], draw),
-            "giveaways": giveaways(df, deviations_of_runs(df)),
             "record": record,
             "grid": thesis_reports.clustering_grid_search(drawn.table),
             "rates": thesis_reports.malicious_rate_report(df, ROWS),
             "pairs": thesis_reports.pairwise_report(df, ROWS),
             "side_by_side": thesis_reports.side_by_side(df, ROWS),
-            "null_model": thesis_reports.null_model(3),
             "provenance": {**html.provenance(df), **more},
             "radar": {},
             **passed_on,

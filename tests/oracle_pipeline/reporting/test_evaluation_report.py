@@ -7,7 +7,7 @@ import pytest
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.evaluation import campaign_evaluation as evaluation
-from oracle_pipeline.evaluation import integrity_checks, metrics
+from oracle_pipeline.evaluation import metrics
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.reporting.evaluation_report import evaluation_report, in_words
 from oracle_pipeline.reporting.stored_report import Report
@@ -26,68 +26,50 @@ QUICK = ("mahalanobis", "max_z", "elliptic_envelope")
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch):
-    """Three detectors, small forests, few resamples: each has tests of its own."""
-    panel, bounds = evaluation.panel, evaluation.upper_bounds
+    """Three detectors, few resamples: each has tests of its own."""
+    panel = evaluation.panel
     monkeypatch.setattr(
         evaluation, "panel", lambda seed: {name: panel(seed)[name] for name in QUICK}
     )
-    monkeypatch.setattr(
-        evaluation,
-        "upper_bounds",
-        lambda seed: {
-            n: b.set_params(n_estimators=10)
-            for n, b in bounds(seed).items()
-            if n == evaluation.UPPER_BOUND
-        },
-    )
     monkeypatch.setattr(metrics, "RESAMPLES", 200)
-    monkeypatch.setattr(integrity_checks, "TREES", 10)
-    monkeypatch.setattr(integrity_checks, "SHUFFLES", 20)
 
 
 @functools.cache
 def strong():
     steps = []
     report = oracle_evaluation(
-        *campaign(20, effect=20.0), graph_differences=[], grid=grid_of([1.0, 40.0], 2, used=20),
+        *campaign(24, effect=20.0), graph_differences=[], grid=grid_of([1.0, 40.0], 2, used=24),
         progress=steps.append,
     )  # fmt: skip
     return report, steps
 
 
-def test_the_headline_stands_first_with_its_interval():
+def test_the_headline_stands_first_with_its_intervals():
     report, steps = strong()
     first = report.table.iloc[0]
-    assert (first["detector"], first["level"], first["scope"]) == (
-        "mahalanobis",
-        "both",
-        "all modes",
+    assert tuple(first[["detector", "split", "scope"]]) == ("reference card", "block", "all modes")
+    detected, false = (
+        Estimate.of_row(first, f"exit_{name}") for name in ("detection_rate", "false_positive_rate")
     )
-    assert Estimate.of_row(first, "auc").low > 0.85
-    assert report.summary["auc"] == first["auc"]
-    assert steps[0].startswith("mahalanobis")
+    assert detected.low > 0.85
+    assert false.low <= 0.05
+    assert report.summary["headline"] == in_words(detected, false)
+    assert report.summary["exit_detection_rate"] == detected.value
+    assert "By features alone" in report.summary["verdicts"]
+    assert steps[0].startswith("reference card")
 
 
-def test_there_is_a_row_for_every_scorer_split_and_scope():
+def test_there_is_a_row_for_every_split_and_scope_and_for_every_detector():
     table = strong()[0].table
-    assert set(table["detector"]) == {*QUICK, "random_forest (sees labels)"}
-    assert {"all", "structural", "contextual", "generic"} <= set(table["features"])
-    # Sessions of 7, 7 and 6 blocks: as many are tested as do not train.
-    tested = {
-        "block": 20,
-        "session": 20,
-        "world": 20,
-        "session but 2 blocks": 14,
-        "session but 4 blocks": 8,
-        "block and hard negatives": 20,
-    }
-    assert set(table["split"]) == tested.keys()
-    assert set(table["level"]) == {"run", "windows", "both"}
-    assert not table.duplicated(["detector", "features", "level", "split", "scope"]).any()
-    pairs = table[table["scope"] == "random_noise_shadow / random_noise"]
-    for split, blocks in tested.items():
-        runs = pairs.loc[pairs["split"] == split, ["malicious", "normal"]]
-        assert (runs == blocks).all(axis=None)
+    cards = table[table["detector"] == "reference card"]
+    others = table[table["detector"] != "reference card"]
+    assert set(cards["split"]) == {"block", "world", "block and hard negatives"}
+    pairs = cards[cards["scope"] == "random_noise_shadow / random_noise"]
+    assert (pairs[["malicious", "normal"]] == 24).all(axis=None)
+    assert set(others["detector"]) == set(QUICK)
+    assert {"all", "structural", "contextual", "generic"} <= set(others["features"])
+    assert set(others["scope"]) == {"all modes"}
+    assert not table.duplicated(["detector", "features", "split", "scope"]).any()
 
 
 def test_the_other_tables_and_pictures_exist():
@@ -97,32 +79,38 @@ def test_the_other_tables_and_pictures_exist():
         "aspects", "aspects_by_mode", "task_uncertainty", "task_differences", "raised",
         "kills", "mutation_scores", "minimum_detectable",
     }  # fmt: skip
-    assert set(report.figures) == {"roc"}
-    assert all(png.startswith(b"\x89PNG") for png in report.figures.values())
     assert report.tables["runs"]["p"].between(0, 1).all()
+    assert set(report.tables["runs"]["exit"]) == {0.0, 1.0}
     alarms = report.tables["alarms"].iloc[0]
     assert alarms["time_to_detect_median_s"] <= 10.0
 
 
-def test_without_green_checks_there_is_a_ranking_but_no_claim_of_an_auc():
+def test_without_verdicts_there_is_a_ranking_but_no_claim_of_a_rate():
     report = oracle_evaluation(*campaign(6, effect=20.0))
     assert report.summary["headline"].startswith("All 18 attacked runs score higher than all 48")
     assert "graphs_of_pairs_are_equal is unsupported" in report.summary["banner"]
     claims = report.tables["open_claims"].set_index("claim")
-    assert "graphs of pairs are equal" in claims.loc["An AUC", "reason"]
+    assert "graphs of pairs are equal" in claims.loc["All integrity checks", "reason"]
     assert np.isfinite(report.table["auc"].iloc[0])
     checked = report.tables["checks"].set_index("name")["status"]
     assert checked["graphs_of_pairs_are_equal"] == "unsupported"
-    assert checked["shortcuts_are_apart"] == "green"
 
 
 def test_without_an_effect_there_is_no_finding():
-    report = oracle_evaluation(*campaign(20, seed=1), graph_differences=[])
+    report = oracle_evaluation(*campaign(24, seed=1), graph_differences=[])
     first = report.table.iloc[0]
     assert Estimate.of_row(first, "auc").covers(0.5)
-    assert first["false_alarm_rate_5_bound"] <= 0.05
-    shuffled = report.tables["checks"].set_index("name").loc["shuffled_labels_are_chance"]
-    assert shuffled["figure"] == pytest.approx(0.5, abs=0.06)
+    assert first["exit_detection_rate"] < 0.15
+    assert first["exit_false_positive_rate_low"] <= 0.05
+
+
+def test_a_red_check_withholds_the_headline():
+    report = oracle_evaluation(
+        *campaign(24, effect=20.0), graph_differences=["fake_object|run000: node:/intruder"]
+    )
+    assert report.summary["headline"].startswith("All 72 attacked runs score higher")
+    claims = report.tables["open_claims"]
+    assert "A detection rate for other recordings than these" in set(claims["claim"])
 
 
 @pytest.mark.parametrize(
@@ -140,7 +128,7 @@ def test_every_campaign_gives_an_honest_report(cut, tmp_path):
     kept = cut(features)
     kept.attrs["fields"] = features.attrs["fields"]
     report = oracle_evaluation(kept, windows, truth)
-    assert "AUC" not in report.summary["headline"]
+    assert "Exit code" not in report.summary["headline"]
     assert len(report.tables["open_claims"])
     assert report.table.loc[report.table["auc"].isna(), "note"].astype(bool).all()
     json.dumps(dict(report.summary), allow_nan=False)
@@ -172,19 +160,6 @@ def test_a_flipped_bit_in_a_report_is_an_error_or_changes_nothing(name, tmp_path
             continue
         assert name == "summary.json"
         assert back.summary == {"headline": "No claim", "runs": 6}  # a bit of the seal's name
-
-
-@pytest.mark.parametrize(
-    ("area", "words"),
-    [
-        (Estimate(0.5, 0.3, 0.7), "cannot be distinguished"),
-        (Estimate(0.2, 0.1, 0.3), "below chance"),
-        (Estimate(0.8, 0.6, 0.9), "not reliably"),
-        (Estimate(0.99, 0.9, 1.0), "clearly"),
-    ],
-)
-def test_the_headline_claims_no_more_than_the_interval(area, words):
-    assert words in in_words(area)
 
 
 def test_a_campaign_of_two_modes_in_two_blocks_gives_a_report_without_figures():

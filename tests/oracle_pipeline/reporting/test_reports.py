@@ -6,14 +6,11 @@ import pandas as pd
 import pytest
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.reporting.stored_report import Report, ReportError
 from oracle_pipeline.reporting.thesis_reports import (
     bootstrapped_dataset,
     clustering_grid_search,
     malicious_rate_report,
-    null_headline,
-    null_model,
     pairwise_report,
     side_by_side,
 )
@@ -174,18 +171,6 @@ def test_rows_that_cannot_be_reproduced_have_the_reason():
     assert table["reproduced_auc"].isna().all()
     assert table["corrected_auc"].notna().all()
     assert table["note"].str.contains("extract the runs' features again").all()
-
-
-def test_the_thesis_s_headline_is_reported_as_not_distinguishable_from_chance():
-    report = null_model(repetitions=25)
-    assert "not distinguishable from chance" in report.summary["headline"]
-    assert report.table["p_long"].tolist() == [0.0, 0.02, 0.05, 0.1]
-    assert report.summary["auc_low"] < 0.5 < report.summary["auc_high"]
-
-
-def test_a_headline_beyond_chance_is_called_distinguishable():
-    said = null_headline(Estimate(0.8, 0.7, 0.9), Estimate(0.5, 0.4, 0.6))
-    assert ": distinguishable from chance" in said
 
 
 def test_rates_and_pairs_are_those_of_the_thesis():

@@ -8,7 +8,7 @@ import pytest
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Change, Manifest, Measured
-from oracle_pipeline.evaluation.giveaways import deviations_of_runs
+from oracle_pipeline.evaluation.run_deviations import deviations_of_runs
 from oracle_pipeline.evaluation.unusual_windows import UnusualWindows, unusual_windows
 from oracle_pipeline.reporting.heat_strip import heat_strip
 from oracle_pipeline.reporting.run_pages import ShownRuns, write_run_pages

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from oracle_pipeline.evaluation.null_model import best_cluster_rates, label_free_runs
 from oracle_pipeline.evaluation.variants import THESIS
+from tools.bench.null_model import best_cluster_rates, label_free_runs
 
 
 @pytest.fixture(scope="module")
