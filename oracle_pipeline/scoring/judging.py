@@ -38,6 +38,7 @@ from oracle_pipeline.scoring.isolation import (
 )
 from oracle_pipeline.scoring.likeness import LEAST, likeness
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+from oracle_pipeline.scoring.reference import recordings_below
 from oracle_pipeline.scoring.verdict import (
     AspectScore,
     CardOrigin,
@@ -104,7 +105,7 @@ def score(
     Parameters
     ----------
     recordings : sequence of Path
-        Run directories or bags.
+        Run directories or bags, or folders of these.
     reference : CardSource
     manager : FeatureManager
         The plugins to compute the features with.
@@ -127,9 +128,10 @@ def score(
     known = reference.known
     if choices is None and reference.roles is not None:
         choices = reference.roles if known is None else replace(reference.roles, topics={})
+    paths = [each for path in recordings for each in list(recordings_below(path)) or [path]]
     verdicts = [
         verdict
-        for path in progress_bar(recordings, unit="recording")
+        for path in progress_bar(paths, unit="recording")
         for verdict in _judge_robots(
             path,
             reference,

@@ -1,18 +1,17 @@
 """A stranger's tests use the fixture ``behaviour``: it passes, fails with a reason, or raises."""
 
-import shutil
+from pathlib import Path
 
 import pytest
 
-from tests.docs.pages import REPOSITORY
 from tests.recorded_runs import RecordedRuns
 
 pytest_plugins = ["pytester"]
 pytestmark = pytest.mark.slow
-
-CARD = REPOSITORY / "examples" / "demo" / "normal.card"
 TESTS = """
 import pytest
+
+pytestmark = pytest.mark.behaviour(far=0.25)
 
 def test_normal(behaviour):
     assert behaviour.normal({normal!r})
@@ -31,13 +30,13 @@ def test_another_card(behaviour):
 
 
 def test_a_test_passes_or_fails_with_the_sentence_and_never_without_a_verdict(
-    pytester: pytest.Pytester, recorded_run: RecordedRuns
+    pytester: pytest.Pytester, recorded_run: RecordedRuns, normal_card: Path
 ):
-    shutil.copy(CARD, pytester.path / "robot.card")
+    (pytester.path / "robot.card").symlink_to(normal_card)
     pytester.makeini("[pytest]\nbehaviour_reference = robot.card\n")
     runs = {
-        "normal": str(recorded_run("lidar_passthrough_odom").path),
-        "attacked": str(recorded_run("fake_object").path),
+        "normal": str(recorded_run("lidar_passthrough", 4).path),
+        "attacked": str(recorded_run("random_noise").path),
     }
     pytester.makepyfile(TESTS.format(**runs))
     options = ("-p", "oracle_pipeline.pytest_plugin", "--strict-markers", "-vv")
