@@ -294,8 +294,8 @@ def score(
     RUN_OR_BAG is as for `oracle features`, or a folder of these. Each recording is judged by
     itself, and each of its robots gets a verdict, such as bag#robot1. The p-value is the share of
     normal runs that score at least as high, each scored by a model that was not fitted on it. A
-    recording is anomalous if its p-value is at most --far. A rate of 5% needs 19 normal
-    runs of different days or starts, 1% needs 99. With fewer there is no verdict, only the score and the
+    recording is anomalous if its p-value is at most --far. A rate of 5% needs 19 normal runs of
+    different days or starts, 1% needs 99. With fewer there is no verdict, only the score and the
     features outside their usual range.
 
     \b

@@ -9,28 +9,25 @@ the modules of the first job, which takes more than a second; a fork takes milli
 """
 
 import concurrent.futures
-import contextlib
 import multiprocessing
 import os
 import pickle
-import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from functools import partial
 from multiprocessing.connection import Connection
-from types import ModuleType
 from typing import Any, TypeVar
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.processes import FINDS_OURS, no_program
 
 R = TypeVar("R")
 
 LIMIT = "ORACLE_JOB_TIMEOUT"  # environment variable [s]
 DEFAULT_LIMIT_S = 3600.0  # a run of ten simulated minutes takes less than one
 
-_FINDS_OURS = "oracle_pipeline.programs"  # our packages, in a folder with others of their names
 _END_TIMEOUT_S = 10.0  # of an idle worker
 
 
@@ -136,11 +133,11 @@ class _Worker:
 
     def __init__(self, module: str) -> None:
         context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload([_FINDS_OURS, module])
+        context.set_forkserver_preload([FINDS_OURS, module])
         self._pipe, theirs = context.Pipe()
         arguments = (theirs, dict(os.environ))  # the fork server has those of its own start
         self._process = context.Process(target=_work, args=arguments, daemon=True)
-        with _no_program():
+        with no_program():
             self._process.start()
         theirs.close()
 
@@ -176,17 +173,6 @@ class _Worker:
     def _end(self) -> None:
         self._process.kill()
         self._process.join()
-
-
-@contextlib.contextmanager
-def _no_program() -> Iterator[None]:
-    """Hide which program this is: a worker would import it, and ``dagster`` takes a second."""
-    program = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = program
 
 
 def _module_of(function: Callable[..., Any]) -> str:

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.bags.merging import Messages
+from oracle_pipeline.bags.processes import FINDS_OURS, no_program
 from oracle_pipeline.features import FeatureManager, FeatureTables, build_manager, extract
 from oracle_pipeline.features.engine.kept_messages import KeptMessages
 from oracle_pipeline.features.manager import FOLDER_VARIABLE
@@ -50,7 +51,6 @@ class Limits:
         return self.remedy or f"raise it ({option}), or split the recording"
 
 
-_FINDS_OURS = "oracle_pipeline.programs"  # our packages, where others have their names
 DEFAULT_LIMITS = Limits()
 
 
@@ -197,7 +197,8 @@ def run_isolated(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT
     context = _context(getattr(work, "func", work).__module__)
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(sender, work, path, limits), daemon=True)
-    process.start()
+    with no_program():
+        process.start()
     sender.close()  # so that the pipe closes when the process ends
     try:
         answer: T | OracleError = _received(receiver, process, path, limits)
@@ -251,7 +252,7 @@ def _work(sender: Connection, work: Callable[[Path], object], path: Path, limits
 def _context(module: str) -> ForkServerContext:
     """Return the context; its server, if it does not run yet, imports what the module needs."""
     context = multiprocessing.get_context("forkserver")
-    first = [_FINDS_OURS] if _FINDS_OURS in sys.modules else []  # as it is in this process
+    first = [FINDS_OURS] if FINDS_OURS in sys.modules else []  # as it is in this process
     context.set_forkserver_preload([*first, module, "oracle_pipeline.features.warm_start"])
     return context
 
