@@ -108,8 +108,6 @@ class Segment:
         """Take note that messages were lost or late in the last second, and until `settle`."""
         self.disturbances.begin(max(0.0, self.duration_s - PACKETS_S))
         self.disturbances.add(losses)
-        if self._contract is not None:
-            self._contract.forget()
 
     def settle(self) -> None:
         """End a disturbance: what comes next is on time."""
@@ -175,5 +173,7 @@ class Segment:
             return
         now_s = self.duration_s
         self._second = int(now_s) + 1
+        if self.disturbances.cover(now_s - 1.0, now_s):
+            self._contract.forget()
         if breaches := self._contract.check(now_s, self._discovery, self._known):
             self._report(ContractAlarm(now_s, breaches))
