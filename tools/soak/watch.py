@@ -109,14 +109,15 @@ class Trial:
     watch: Any
     folder: Path
 
-    def ports(self) -> list[int]:
-        """Return the UDP ports that the watch listens at."""
-        own = set()
-        for entry in Path(f"/proc/{self.watch.pid}/fd").iterdir():
-            with contextlib.suppress(OSError):
-                own.add(str(entry.readlink()))
-        lines = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
-        return [int(f[1].split(":")[1], 16) for f in lines if f"socket:[{f[9]}]" in own]
+
+def udp_ports(process: int) -> list[int]:
+    """Return the UDP ports that a process listens at."""
+    own = set()
+    for entry in Path(f"/proc/{process}/fd").iterdir():
+        with contextlib.suppress(OSError):
+            own.add(str(entry.readlink()))
+    lines = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
+    return [int(f[1].split(":")[1], 16) for f in lines if f"socket:[{f[9]}]" in own]
 
 
 def _nothing(_trial: Trial) -> None:
@@ -155,7 +156,7 @@ def _vanish(trial: Trial) -> None:
 
 def _malformed(trial: Trial) -> None:
     """Send malformed RTPS packets to all ports of the watch."""
-    rng, ports = random.Random(0), trial.ports()  # noqa: S311 -- no secret
+    rng, ports = random.Random(0), udp_ports(trial.watch.pid)  # noqa: S311 -- no secret
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         for _ in range(PACKETS):
             out.sendto(packet(rng), ("127.0.0.1", rng.choice(ports)))

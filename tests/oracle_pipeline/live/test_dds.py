@@ -1,8 +1,10 @@
 """Bytes and names on a DDS domain: messages arrive unchanged."""
 
+import os
+import random
+import socket
 import subprocess
 import sys
-from dataclasses import replace
 
 import hypothesis.strategies as st
 import pytest
@@ -21,6 +23,7 @@ from oracle_pipeline.bags.errors import DdsError
 from oracle_pipeline.bags.types import message_class, serialize, typestore
 from sim.middleware.qos import DEFAULT, LATCHED
 from tests.oracle_pipeline.live.robots import STRING, TEXT
+from tools.soak.watch import packet, udp_ports
 
 names = st.from_regex(r"/[a-z][a-z0-9_]{0,8}(/[a-z][a-z0-9_]{0,8}){0,2}", fullmatch=True)
 
@@ -73,7 +76,7 @@ def test_messages_come_with_the_bytes_that_were_sent(domain, eventually):
 
 def test_a_reader_counts_exactly_what_it_loses(domain):
     participant = dds.join(domain)
-    reader = dds.RawReader(participant, "rt/words", STRING, replace(DEFAULT, depth=7))
+    reader = dds.RawReader(participant, "rt/words", STRING, DEFAULT._replace(depth=7))
     writer = dds.RawWriter(participant, "rt/words", STRING, DEFAULT)
     taken = 0
     for sent in (3, 1000, 7, 8, 0):  # delivered at once, since the writer is in this process
@@ -93,6 +96,18 @@ def test_an_invalid_domain_is_refused(monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", "seven")
     with pytest.raises(DdsError, match="seven"):
         dds.default_domain()
+
+
+def test_malformed_packets_harm_nothing(domain):
+    participant = dds.join(domain)
+    writer = dds.RawWriter(participant, "rt/words", STRING, LATCHED)
+    reader = dds.RawReader(participant, "rt/words", STRING, DEFAULT)
+    rng, ports = random.Random(0), udp_ports(os.getpid())  # noqa: S311 -- no secret
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        for _ in range(2000):
+            out.sendto(packet(rng), ("127.0.0.1", rng.choice(ports)))
+    writer.write(TEXT)
+    assert [raw.data for raw in reader.take()] == [TEXT]
 
 
 @pytest.mark.slow
