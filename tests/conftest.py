@@ -57,7 +57,7 @@ def recorded_run(shared_folder: Path):
 
 @pytest.fixture(scope="session")
 def normal_card(shared_folder: Path, recorded_run) -> Path:
-    """A reference card of four normal runs of one goal, learned once for all test processes."""
+    """A reference card of five normal runs of one goal, learned once for all test processes."""
     from oracle_pipeline.features import build_manager
     from oracle_pipeline.scoring.learning import learn
     from oracle_pipeline.scoring.reference import read_reference
@@ -66,6 +66,6 @@ def normal_card(shared_folder: Path, recorded_run) -> Path:
     with Path(f"{card}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not card.exists():
-            runs = [recorded_run("lidar_passthrough", number).path for number in range(4)]
+            runs = [recorded_run("lidar_passthrough", number).path for number in range(5)]
             learn(read_reference(runs, build_manager())).save(card)
     return card

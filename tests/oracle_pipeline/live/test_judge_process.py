@@ -27,7 +27,7 @@ from tests.oracle_pipeline.live.robots import STRING
 pytestmark = pytest.mark.slow(3)
 
 NORMAL = "lidar_passthrough"
-PER_HOUR = 200.0  # false alarms; four short runs support no lower rate
+PER_HOUR = 200.0  # false alarms; five short runs support no lower rate
 SECOND_NS = 10**9
 
 
@@ -63,10 +63,10 @@ def judged(card, run):
 
 
 def test_every_window_gets_its_verdict_and_an_attack_raises_an_alarm(normal_card, recorded_run):
-    with open_run(recorded_run("random_noise", 4).path) as run:
+    with open_run(recorded_run("random_noise", 5).path) as run:
         attacked, windows = judged(normal_card, run)
     assert [verdict.end_s for verdict in attacked] == [WINDOW_S + HOP_S * n for n in range(windows)]
-    with open_run(recorded_run(NORMAL, 4).path) as run:
+    with open_run(recorded_run(NORMAL, 5).path) as run:
         normal, _ = judged(normal_card, run)
     assert any(verdict.alarm for verdict in attacked)
     assert attacked[-1].evidence
@@ -207,7 +207,7 @@ class Hurried:
 def test_windows_that_come_too_fast_are_left_out_and_the_newest_are_judged(
     normal_card, recorded_run
 ):
-    hurried = Hurried(normal_card, recorded_run(NORMAL, 4).path)
+    hurried = Hurried(normal_card, recorded_run(NORMAL, 5).path)
     judge, verdicts = hurried.judge, []
     for number in range(10):
         hurried.end_window(10.0 + number)
@@ -218,7 +218,7 @@ def test_windows_that_come_too_fast_are_left_out_and_the_newest_are_judged(
 
 
 def test_a_judge_that_is_far_behind_judges_no_window_that_lacks_messages(normal_card, recorded_run):
-    hurried = Hurried(normal_card, recorded_run(NORMAL, 4).path)
+    hurried = Hurried(normal_card, recorded_run(NORMAL, 5).path)
     judge, ended, verdicts = hurried.judge, 30, []
     for number in range(ended):
         hurried.end_window(5.0 + 0.1 * number)
