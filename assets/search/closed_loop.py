@@ -19,7 +19,7 @@ from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.detectors.explain import UsualRanges
 from oracle_pipeline.features import FeatureTables
-from oracle_pipeline.scoring.card import ReferenceCard
+from oracle_pipeline.scoring.card import ReferenceCard, checked_card
 from oracle_pipeline.scoring.comparable import shared_features
 from oracle_pipeline.scoring.isolation import Extracted, extracted
 from oracle_pipeline.scoring.judging import judge
@@ -261,4 +261,4 @@ def _extracted(directory: RunDirectory, card: Path) -> Extracted:
 
 @functools.cache
 def _card(path: Path) -> ReferenceCard:
-    return ReferenceCard.load(path)
+    return checked_card(path)  # a worker cannot start the process in which others read a card
