@@ -20,7 +20,7 @@ UNKNOWN_NODE = "/_NODE_NAME_UNKNOWN_"  # ROS 2's name for an endpoint that no no
 
 _GUID = 16  # bytes; ROS 2 pads them to 24 up to Humble
 _NO_LIMIT = _QosTime(9223372036, 854775807)
-_ENTITIES_QOS = Qos(
+ENTITIES_QOS = Qos(
     QosHistory.KEEP_ALL, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL,
     _NO_LIMIT, _NO_LIMIT, QosLiveliness.AUTOMATIC, _NO_LIMIT, False,
 )  # fmt: skip
@@ -61,7 +61,7 @@ class Discovery:
         # Identifiers have 24 bytes up to Humble, and 16 later; a reader receives only its own type.
         self._stores = (types.typestore(), get_typestore(Stores.ROS2_JAZZY))
         self._entities = [
-            dds.RawReader(participant, ENTITIES_TOPIC, ENTITIES_TYPE, _ENTITIES_QOS, store)
+            dds.RawReader(participant, ENTITIES_TOPIC, ENTITIES_TYPE, ENTITIES_QOS, store)
             for store in self._stores
         ]
         self._participants: dict[int, bytes] = {}  # by handle

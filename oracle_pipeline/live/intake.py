@@ -11,19 +11,18 @@ import time
 from collections import Counter
 from typing import NamedTuple
 
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability
-from rosbags.interfaces import QosTime as _QosTime
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosReliability
 
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.dds_names import dds_topic
 from oracle_pipeline.bags.errors import DdsError
 from oracle_pipeline.bags.qos_profiles import compatible
+from oracle_pipeline.live.discovery import ENTITIES_QOS
 
 QUEUE_BYTES = 64 * 2**20  # of waiting messages, at most
 PACKETS_S = 1.0  # between two counts of lost packets, which take a millisecond each
 _DEPTH = 500  # history depth of a DDS reader
 _WAIT_S = 0.2  # at most, until the thread checks for new readers or its end
-_NO_LIMIT = _QosTime(9223372036, 854775807)
 
 
 class Received(NamedTuple):
@@ -78,16 +77,11 @@ class Intake:
         DdsError
             If its type is unknown.
         """
-        qos = Qos(
-            QosHistory.KEEP_LAST,
-            _DEPTH,
-            QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
-            QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
-            _NO_LIMIT,
-            _NO_LIMIT,
-            QosLiveliness.AUTOMATIC,
-            _NO_LIMIT,
-            avoid_ros_namespace_conventions=False,
+        qos = ENTITIES_QOS._replace(
+            history=QosHistory.KEEP_LAST,
+            depth=_DEPTH,
+            reliability=QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
+            durability=QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
         )
         reader = dds.RawReader(self._participant, dds_topic(topic), msgtype, qos)
         self.topics[topic] = msgtype
