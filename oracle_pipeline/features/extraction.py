@@ -442,6 +442,7 @@ def _fields(features: Mapping[str, Feature]) -> dict[str, dict[str, str]]:
             "origin": feature.origin,
             "shortcut": str(feature.shortcut).lower(),
             "behaviour": str(feature.behaviour).lower(),
+            "extensive": str(feature.extensive).lower(),
             "description": feature.description,
         }
         for column, feature in features.items()

@@ -11,7 +11,7 @@ import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from rosbags.interfaces import Qos
@@ -33,6 +33,12 @@ FEWEST_RECORDINGS = 5  # with a topic, before a field counts as constant, or the
 MOSTLY = 0.75  # share of a topic's messages that are copies in every recording, for a relay
 FEW = 2  # messages of a relay, or of a steady topic, that may differ beyond the margin
 COUNT_MARGIN = 0.1  # relative margin on message counts per `SPAN_S`, in addition to 2 messages
+ROUNDED = 1e-3  # relative difference up to which a constant number counts as rounded
+RARE = 0.01  # share of copies up to which all messages of a relay count as filtered
+_NUMBER = re.compile(r"(?<![\w'])-?\d+(?:\.\d*)?(?:e[+-]?\d+)?(?![\w'])")
+_ROUNDED = "the numbers differ by rounding"
+_FILTERED = "all messages are altered, as a filter does, and the features say how much"
+_OTHER_MACHINE = "another machine or a full queue changes a rate as much"
 
 # ROS 2 tools append a suffix to some node names that differs between processes.
 _PROCESS_SUFFIX = re.compile(r"(?<=_)(?:0x)?[0-9a-f]*\d[0-9a-f]*$")
@@ -62,10 +68,14 @@ class TopicTerms:
 
 
 class Breach(NamedTuple):
-    """One way in which a recording departs from the contract."""
+    """One way in which a recording departs from the contract.
+
+    A note is what an honest filter or another machine does as well: it does not count as a breach.
+    """
 
     name: str  # of a topic, a node or an edge
-    text: str  # a sentence
+    text: str  # a sentence; that of a note has the reason
+    severity: Literal["breach", "note"] = "breach"
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,6 +253,10 @@ class Contract:
                 found += self._of_relay(name, seen) if seen.whole else []
         return found + self._of_graph(seen.graph)
 
+    def is_broken(self, seen: Observation) -> bool:
+        """Return whether a recording departs from the contract by more than notes."""
+        return any(each.severity == "breach" for each in self.breaches(seen))
+
     def breach_of_silence(self, name: str, silent_s: float) -> Breach | None:
         """Return a breach if a topic of a running robot has been silent for too long [s]."""
         pace = self.paces.get(name)
@@ -278,9 +292,13 @@ class Contract:
                     "is constant.",
                 )
             elif usual is not None and seen[path] != usual:
+                is_rounded = _is_close(seen[path], usual)
                 now, usual = (textwrap.shorten(text, 40) for text in (seen[path], usual))
                 instead = f"is {now} instead of {usual}" if now != usual else "has another value"
-                yield Breach(name, f"Field {path} of topic {name} {instead}.")
+                if is_rounded:
+                    yield _note(name, f"Field {path} of topic {name} {instead}", _ROUNDED)
+                else:
+                    yield Breach(name, f"Field {path} of topic {name} {instead}.")
 
     def _of_relay(self, name: str, seen: Observation) -> Iterable[Breach]:
         for source, usual in self.relays.get(name, {}).items():
@@ -290,11 +308,11 @@ class Contract:
                 copies = seen.relays[name].get(source)
                 share = 0.0 if copies is None else copies.share
                 usually = "all" if usual == 1.0 else f"at least {usual:.1%}"
-                yield Breach(
-                    name,
+                told = (
                     f"Of the messages on topic {name}, {share:.1%} are copies of messages on "
-                    f"{source}; in normal recordings {usually} are.",
+                    f"{source}; in normal recordings {usually} are"
                 )
+                yield _note(name, told, _FILTERED) if share <= RARE else Breach(name, f"{told}.")
 
     def _is_altered(self, name: str, source: str, seen: Observation) -> bool:
         """Return whether too few messages of a relay are copies of those of its source."""
@@ -423,7 +441,28 @@ def _of_rate(
     if too_few or lowest_hz <= (rate_hz or 0.0) <= highest_hz:
         return []
     usual = _range(terms.lowest_hz, terms.highest_hz)
-    return [Breach(name, f"Topic {name} has {rate_hz or 0.0:.3g} Hz instead of {usual} Hz.")]
+    told = f"Topic {name} has {rate_hz or 0.0:.3g} Hz instead of {usual} Hz"
+    if rate_hz and terms.lowest_hz / STEADY <= rate_hz <= terms.highest_hz * STEADY:
+        return [_note(name, told, _OTHER_MACHINE)]
+    return [Breach(name, f"{told}.")]
+
+
+def _note(name: str, told: str, reason: str) -> Breach:
+    return Breach(name, f"{told}. This is a note, no breach: {reason}.", "note")
+
+
+def _is_close(text: str, usual: str) -> bool:
+    """Return whether two values, as text, are equal numbers but for rounding.
+
+    Examples
+    --------
+    >>> _is_close("[0.12, 3.5]", "[0.12000001, 3.5]"), _is_close("'base'", "'base_link'")
+    (True, False)
+    """
+    if _NUMBER.sub("", text) != _NUMBER.sub("", usual):
+        return False
+    numbers, others = (np.array(_NUMBER.findall(each), dtype=np.float64) for each in (text, usual))
+    return bool(np.allclose(numbers, others, rtol=ROUNDED, atol=0.0))
 
 
 def _range(low: float, high: float) -> str:

@@ -32,7 +32,7 @@ from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
 from oracle_pipeline.scoring.alarms import NormalWindows
 from oracle_pipeline.scoring.conformal import ConformalError
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.scoring.run_scorer import Design, RunScorer
+from oracle_pipeline.scoring.run_scorer import OF_WINDOWS, WHOLE_SIGNALS, Design, RunScorer
 
 FOLDS = 10
 SEED = 0  # of the folds, and of detectors that draw
@@ -126,7 +126,8 @@ class CrossConformalScorer:
         The unit is the spread of held-out normal runs; 0 is their median. Higher is more anomalous.
         """
         seen = runs.with_columns(self.design.run_columns, self.design.window_columns)
-        return np.stack([self._combined(scorer.score(seen)) for scorer in self.scorers_])
+        weight = self._weights(runs.counts)
+        return np.stack([self._combined(scorer.score(seen), weight) for scorer in self.scorers_])
 
     def by_level(self, runs: MeasuredRuns) -> dict[str, NDArray[np.float64]]:
         """Return each run's score in each level, shape (n_runs,): the median over the folds."""
@@ -221,9 +222,37 @@ class CrossConformalScorer:
         """The smallest p-value that a new run can get."""
         return 1.0 / (len(np.unique(self.block_)) + 1.0)
 
-    def _combined(self, by_level: NDArray[np.float64]) -> NDArray[np.float64]:
+    @property
+    def lengths(self) -> tuple[int, int] | None:
+        """Fewest and most windows of a normal recording; None if windows have no features."""
+        if self.windows_ is None:
+            return None
+        counts = np.bincount(self.windows_.run, minlength=len(self.windows_.block))
+        return int(counts.min()), int(counts.max())
+
+    def _weights(self, counts: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return what each level counts for recordings of so many windows, (n_runs, n_levels).
+
+        A mean over a short recording scatters more, by the root of its length. In a long one,
+        signals reach farther, so their statistics over the whole do not count beside others.
+        """
+        weights = np.ones((len(counts), len(self.levels_)))
+        if self.lengths is None:
+            return weights
+        shortest, longest = self.lengths
+        of_whole = np.array([level not in OF_WINDOWS for level in self.levels_])
+        weights[:, of_whole] = np.sqrt(np.minimum(counts / shortest, 1.0))[:, np.newaxis]
+        reaching = np.array([level in WHOLE_SIGNALS for level in self.levels_])
+        if not reaching.all():
+            weights[np.ix_(counts > longest, reaching)] = 0.0
+        return weights
+
+    def _combined(
+        self, by_level: NDArray[np.float64], weight: NDArray[np.float64] | float = 1.0
+    ) -> NDArray[np.float64]:
         """Return the largest standardised level of each run, shape (n_runs,)."""
-        return np.asarray(((by_level - self.centre_) / self.spread_).max(axis=1), dtype=np.float64)
+        standard = (by_level - self.centre_) / self.spread_
+        return np.asarray((weight * standard).max(axis=1), dtype=np.float64)
 
 
 def _median_and_mad(scores: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:

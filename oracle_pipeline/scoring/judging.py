@@ -36,6 +36,7 @@ from oracle_pipeline.scoring.isolation import (
     Limits,
     extract_isolated,
 )
+from oracle_pipeline.scoring.lengths import comparable_tables, is_outside
 from oracle_pipeline.scoring.likeness import LEAST, likeness
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.reference import recordings_below
@@ -283,14 +284,17 @@ def _scored(
         notes.append("Its block is part of the reference: all runs of that block are left out.")
     others = card.runs[card.runs["block"] != block]
     deviations = explain(others, tables.run, columns) if design.uses_features else []
-    if signals := [column for column in design.run_signals if column in tables.run.columns]:
+    signals = [column for column in design.run_signals if column in tables.run.columns]
+    if design.uses_features and is_outside(tables, card.scorer.lengths):
+        signals = []  # they do not count for a recording of another length
+    if signals:
         deviations += explain(others, tables.run, signals, SignalScaler)
     return replace(
         verdict,
         features=len(columns),
         evidence=farthest_features(deviations, tables, card.scorer.scorers_[0].usual_in_windows),
         families=tuple(by_family(deviations, [*columns, *signals])),
-        notes=tuple(notes),
+        notes=(*verdict.notes, *notes),
     )
 
 
@@ -346,11 +350,14 @@ def _compared(recording: Recording, card: ReferenceCard) -> tuple[Verdict, Featu
             return unlike, tables
         if any(t.always and name not in seen.topics for name, t in card.contract.topics.items()):
             tables = _without_rates(tables)
+    tables, of_length = comparable_tables(tables, card.scorer.lengths)
+    breaches, notes = _lines_of_contract(card, seen)
     verdict = Verdict(
         name,
         "unsupported",  # until `decide_suite` sets the outcome
-        contract=_breaches(card, seen),
-        cautions=cautions,
+        contract=breaches,
+        notes=notes,
+        cautions=(*cautions, *of_length),
     )
     return verdict, tables
 
@@ -412,10 +419,17 @@ def _alarms(
     return raised
 
 
-def _breaches(card: ReferenceCard, seen: Observation | None) -> tuple[str, ...]:
+def _lines_of_contract(
+    card: ReferenceCard, seen: Observation | None
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the breaches of the contract, and the notes on it."""
     if card.contract is None or seen is None:
-        return ()
-    return tuple(breach.text for breach in card.contract.breaches(seen))
+        return (), ()
+    found = card.contract.breaches(seen)
+    return (
+        tuple(each.text for each in found if each.severity == "breach"),
+        tuple(each.text for each in found if each.severity == "note"),
+    )
 
 
 def _measured(tables: FeatureTables, card: ReferenceCard) -> MeasuredRuns:

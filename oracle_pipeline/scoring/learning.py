@@ -100,7 +100,7 @@ def _breaching(observations: Sequence[Observation], folds: Sequence[int]) -> int
     count, of_all = 0, list(zip(observations, folds, strict=True))
     for fold in set(folds):
         contract = Contract.learned([seen for seen, own in of_all if own != fold])
-        count += sum(bool(contract.breaches(seen)) for seen, own in of_all if own == fold)
+        count += sum(contract.is_broken(seen) for seen, own in of_all if own == fold)
     return count
 
 

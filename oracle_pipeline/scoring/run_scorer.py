@@ -31,7 +31,8 @@ from oracle_pipeline.detectors import (
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 OF_FEATURES = ("run", "windows")
-OF_SIGNALS = ("signals", "topics", "range", "signal windows")
+WHOLE_SIGNALS = ("signals", "topics", "range")
+OF_SIGNALS = (*WHOLE_SIGNALS, "signal windows")
 _BY_TOPIC = ("topics", "signal windows")
 PLAIN = "plain"  # level of a detector that a user named, alone
 PLAIN_STATISTICS = ("mean", "std", "min", "max", "change")  # of signals, for it and for "range"
@@ -39,7 +40,7 @@ OF_WINDOWS = ("windows", "signal windows")  # levels of windows; all others are 
 TOP_WINDOWS = 6  # number of highest window scores that are averaged for a run
 TOP_FEATURES = 3  # number of a window's most unusual features that are averaged for alarms
 LEAST_REACH = 3.0  # smallest distance that normal windows are taken to reach [scales]
-COMMON = 0.9  # windows count up to the length that this share of the fitted runs reaches
+COMMON = 0.9  # share of the runs that reach the common length
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +111,8 @@ class RunScorer:
         Largest distance of each scaled column of windows from 0 in the fitted runs, at least
         `LEAST_REACH` [scales]; only if windows have features.
     windows_counted_ : int
-        Number of windows that count, from the start of a run. A longer run has more extreme windows
-        by chance, so all runs are compared over the same length.
+        Most windows of a fitted run. A longer run has more extreme windows by chance, so it counts
+        by the mean over its parts of that length.
     """
 
     def __init__(self, design: Design) -> None:
@@ -126,7 +127,7 @@ class RunScorer:
             The detector cannot be fitted on so few runs.
         """
         design = self.design
-        self.windows_counted_ = common_length(runs.counts)
+        self.windows_counted_ = int(runs.counts.max())
         self.models_: dict[str, Pipeline] = {}
         for level in dict.fromkeys((*design.levels, "windows")):  # alarms need those
             if columns := design.columns(level):
@@ -226,17 +227,21 @@ def top_windows(
     runs : MeasuredRuns
         The runs of these windows.
     windows_counted : int
-        Number of windows of a run that count, from its start.
+        Number of windows of a part. A run with more is split evenly into parts of about this
+        number, and the mean over them counts.
     """
     counts = runs.counts
-    by_run = np.full((len(counts), int(counts.max(initial=1))), -np.inf)
-    by_run[runs.run, runs.place] = scores
-    highest = -np.sort(-by_run[:, :windows_counted], axis=1)[:, :TOP_WINDOWS]
-    finite = np.isfinite(highest)
-    total = np.where(finite, highest, 0.0).sum(axis=1)
-    top = np.full(len(counts), np.nan)
-    np.divide(total, finite.sum(axis=1), out=top, where=finite.any(axis=1))
-    return top
+    parts = np.maximum(np.rint(counts / windows_counted).astype(np.intp), 1)
+    first = np.cumsum(parts) - parts
+    part = first[runs.run] + runs.place * parts[runs.run] // counts[runs.run]
+    order = np.lexsort((-scores, part))
+    sizes = np.bincount(part, minlength=int(parts.sum()))
+    rank = np.arange(len(part)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    highest = order[rank < TOP_WINDOWS]
+    total = np.bincount(part[highest], scores[highest], minlength=len(sizes))
+    top = np.full(len(sizes), np.nan)
+    np.divide(total, np.minimum(sizes, TOP_WINDOWS), out=top, where=sizes > 0)
+    return np.asarray(np.add.reduceat(top, first) / parts, dtype=np.float64)
 
 
 def common_length(windows: NDArray[np.intp]) -> int:

@@ -58,12 +58,12 @@ _REPORT_FEATURES = (
     Feature(
         "appearances", "1", 0.5,
         "aircraft that first report far inside the airspace, not at its border or take-off",
-        "domain",
+        "domain", extensive=True,
     ),
     Feature(
         "disappearances", "1", 0.5,
         "aircraft that last report far inside the airspace, not at its border or landing",
-        "domain",
+        "domain", extensive=True,
     ),
 )  # fmt: skip
 

@@ -31,11 +31,11 @@ _TRACK_FEATURES = (
     Feature("nameless", "1", 0.01, "share of the tracks without ICAO address, mean", "domain"),
     Feature(
         "longest_adsb_only", "s", 5.0, "longest time that a track had ADS-B but no radar",
-        "domain", per_window=False,
+        "domain", per_window=False, extensive=True,
     ),
     Feature(
         "longest_radar_only", "s", 5.0, "longest time that a track had no ADS-B",
-        "domain", per_window=False,
+        "domain", per_window=False, extensive=True,
     ),
     Feature(
         "closest_pair", "m", 50.0, "distance of the two closest tracks, 5th percentile", "domain",

@@ -62,6 +62,7 @@ class Feature:
     shortcut: bool = False  # identifies a run by its nodes and topics, not by its behaviour
     behaviour: bool = False  # measures the robot's behaviour, not the consistency of messages
     per_window: bool = True  # False: makes sense for a whole run only
+    extensive: bool = False  # grows with the length of a recording: a total or an extreme
     timing: bool = False  # depends on when messages arrived at the recorder, or on how many did
 
 

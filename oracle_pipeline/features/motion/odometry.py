@@ -28,7 +28,7 @@ FEATURES = (
     ),
     Feature(
         "total_turning", "rad", 0.05, "sum of the absolute yaw changes", "domain",
-        behaviour=True,
+        behaviour=True, extensive=True,
     ),
     Feature(
         "turning_per_metre", "rad/m", 0.05, "sum of the absolute yaw changes over the path length",

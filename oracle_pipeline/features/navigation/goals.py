@@ -26,7 +26,10 @@ from oracle_pipeline.features.engine.plugin import (
 from oracle_pipeline.robots.roles import BEHAVIOR_TREE, GOAL_STATUS, PLAN
 
 FEATURES = (
-    Feature("duration", "s", 0.1, "time with an active goal", "navigation", behaviour=True),
+    Feature(
+        "duration", "s", 0.1, "time with an active goal", "navigation", behaviour=True,
+        extensive=True,
+    ),
     Feature(
         "goals_reached", "1", 0.01, "share of the accepted goals that were reached", "navigation",
         per_window=False, behaviour=True,

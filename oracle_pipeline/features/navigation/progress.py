@@ -67,11 +67,11 @@ _DRIVE_FEATURES = (
     ),
     Feature(
         "longest_stall", "s", 1.0, "longest continuous stall, as in stalled", "navigation",
-        per_window=False, behaviour=True,
+        per_window=False, behaviour=True, extensive=True,
     ),
     Feature(
         "driven_without_goal", "m", 0.02, "distance driven without an active goal", "navigation",
-        behaviour=True,
+        behaviour=True, extensive=True,
     ),
 )  # fmt: skip
 

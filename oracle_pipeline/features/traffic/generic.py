@@ -67,6 +67,7 @@ _TIMING_FEATURES = timed(
     Feature(
         "steady_topics", "1", 0.01,
         "share of the topics that publish at a steady rate from start to end", per_window=False,
+        extensive=True,
     ),
     *_features(
         "jitter", "1", 0.01,
@@ -76,7 +77,7 @@ _TIMING_FEATURES = timed(
     Feature(
         "gap_max", "1", 0.1,
         "longest time between messages over the topic's median, maximum over the steady topics",
-        per_window=False,
+        per_window=False, extensive=True,
     ),
     Feature(
         "out_of_order_max", "1", 1e-3,

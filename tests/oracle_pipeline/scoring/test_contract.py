@@ -135,6 +135,32 @@ def test_a_recording_breaks_no_rate_that_it_is_too_short_to_show():
     assert len(breaches(**slow, duration_s=50.0)) == 1
 
 
+@pytest.mark.parametrize(
+    ("rate_hz", "range_m", "copies", "severities"),
+    [
+        (4.5, "3.5000001", 0, ["note", "note", "note"]),
+        (2.4, "3.6", 5, ["breach", "breach", "breach"]),
+        (None, "3.5", 10, ["breach"]),
+    ],
+)
+def test_what_an_honest_filter_or_another_machine_does_is_a_note_with_its_reason(
+    rate_hz, range_m, copies, severities
+):
+    def seen(rate_hz, range_m, copies):
+        topics = {
+            name: ("sensor_msgs/msg/LaserScan", (), hz)
+            for name, hz in (("/relay", 5.0), ("/scan", rate_hz))
+        }
+        relays = {"/relay": {"/scan": Copies(copies, 10)}, "/scan": {}}
+        return Observation(topics, None, {}, {"/scan": {"range_max": range_m}}, relays)
+
+    contract = Contract.learned([seen(5.0, "3.5", 10)] * FEWEST_RECORDINGS)
+    found = contract.breaches(seen(rate_hz, range_m, copies))
+    assert [each.severity for each in found] == severities
+    assert all(("This is a note" in each.text) == (each.severity == "note") for each in found)
+    assert contract.is_broken(seen(rate_hz, range_m, copies)) == ("breach" in severities)
+
+
 def test_a_topic_without_a_steady_rate_may_have_any():
     goal = NORMAL[1].topics["/goal"][:2]
     assert breaches(**with_topic("/goal", *goal, 50.0)) == []

@@ -9,7 +9,7 @@ from oracle_pipeline.datasets import feature_columns, feature_floors
 from oracle_pipeline.detectors import panel
 from oracle_pipeline.scoring.learning import learned_scorer
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.scoring.run_scorer import TOP_FEATURES, Design, RunScorer
+from oracle_pipeline.scoring.run_scorer import TOP_FEATURES, TOP_WINDOWS, Design, RunScorer
 from tests.oracle_pipeline.datasets.synthetic import campaign
 
 FEATURES, WINDOWS, _ = campaign(20, 0.0, 0, {"lidar_passthrough": "normal"})
@@ -60,3 +60,16 @@ def test_what_leaves_its_range_is_not_hidden_by_a_hundred_signals_that_scatter()
     scorer = learned_scorer(normal)
     scores = scorer.own_score(scorer.scores(new))
     assert np.mean(np.subtract.outer(scores[10:], scores[:10]) > 0.0) > 0.9
+
+
+def test_a_short_attack_at_the_end_of_a_long_run_counts_as_much_as_at_its_start():
+    longer = FEATURES["run_id"].iloc[0]
+    normal = WINDOWS[(WINDOWS["run_id"] == longer) | (WINDOWS["window_start_s"] < 30.0)]
+    scorer, scores = fitted(normal), []
+    for place in (slice(TOP_WINDOWS), slice(-TOP_WINDOWS, None)):
+        attacked = normal[normal["run_id"] == longer].copy()
+        attacked.loc[attacked.index[place], CHANGED] += 100.0
+        run = MeasuredRuns.ordered(FEATURES.iloc[[0]], attacked)
+        scores.append(scorer.score(run)[0])
+    np.testing.assert_allclose(scores[1], scores[0], rtol=0.2)
+    assert scores[0] > 5.0 * scorer.score(MeasuredRuns.ordered(FEATURES, normal)).max()
