@@ -1,5 +1,6 @@
 """The frames in the first message of each topic, read only if types and names are ambiguous."""
 
+import math
 from collections.abc import Collection, Iterable
 from functools import cached_property
 from typing import Any
@@ -32,6 +33,15 @@ class FirstMessages:
     def child_frame(self, topic: str) -> str:
         """Return the child frame of an odometry topic."""
         return _bare(getattr(self._first.get(topic), "child_frame_id", ""))
+
+    def pose(self, topic: str) -> tuple[float, float, float] | None:
+        """Return x, y [m] and yaw [rad] in a topic's first message; None without a pose."""
+        pose = getattr(getattr(self._first.get(topic), "pose", None), "pose", None)
+        if pose is None:
+            return None
+        at, q = pose.position, pose.orientation
+        yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
+        return (at.x, at.y, yaw) if math.isfinite(at.x + at.y + yaw) else None
 
     def frames_of(self, topics: Iterable[str]) -> set[str]:
         """Return the frames of some topics."""

@@ -29,6 +29,7 @@ from oracle_pipeline.opened_run import OpenedRun, open_run
 from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.robot import Robot, find_robots, of_robot
 from oracle_pipeline.robots.roles_file import RoleChoices
+from oracle_pipeline.scoring.blocks import Origin, origin_of
 from oracle_pipeline.scoring.contract import Observation, Observer
 
 T = TypeVar("T")
@@ -60,7 +61,7 @@ class Extracted(NamedTuple):
     recording: str  # path, and name of the robot if there are several
     tables: FeatureTables
     observation: Observation
-    has_manifest: bool
+    origin: Origin
     faults: Sequence[str] = ()  # found by the check
 
 
@@ -92,7 +93,7 @@ def extract_isolated(
     known : Known, optional
         Topics of the reference that the recording is compared with.
     paced : bool
-        Whether to measure the paces of topics too.
+        Whether to measure what a reference needs: the paces of topics, and the start.
     check : callable, optional
         Looks for faults that need no reference.
 
@@ -151,7 +152,8 @@ def _of_robot(
     roles = {role: found.topics for role, found in robot.roles.found.items() if found.topics}
     seen = observer.observation(run, length_s)
     seen = replace(seen, roles=roles, instead=robot.instead)
-    return Extracted(of_robot(path, robot.name), tables, seen, run.manifest is not None, faults)
+    origin = origin_of(run, robot, starts=paced)
+    return Extracted(of_robot(path, robot.name), tables, seen, origin, faults)
 
 
 def _tables(

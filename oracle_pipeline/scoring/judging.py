@@ -23,6 +23,7 @@ from oracle_pipeline.features import FeatureManager, FeatureTables
 from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.alarms import RATE_PER_H, Alarm, AlarmRule, AlarmWatch
+from oracle_pipeline.scoring.blocks import PER_SEED
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.comparable import same_recording, shared_features
 from oracle_pipeline.scoring.conformal import adjusted_for_suite, runs_needed
@@ -231,7 +232,8 @@ def _judge_robots(
 
 
 def _judge_robot(extracted: Extracted, reference: CardSource) -> Verdict:
-    recording, tables, seen, _, faults = extracted
+    recording, tables, seen, origin, faults = extracted
+    tables = tables._replace(run=tables.run.assign(seed=origin.seed))
     try:
         verdict = _scored(recording, tables, reference.card_for(tables.run), seen)
         notes = [note for note in tables.notes if note not in seen.losses]
@@ -337,7 +339,7 @@ def _compared(recording: Recording, card: ReferenceCard) -> tuple[Verdict, Featu
     """Return what is known without statistics, and the features that can be compared."""
     name, tables, seen = recording
     cautions = _moved(seen, card.known)
-    if card.contract is not None and seen is not None:
+    if card.contract is not None and seen is not None and seen.topics:
         share, differences = likeness(card.contract, seen, card.runs.columns, tables.run.columns)
         if share < LEAST:
             unlike = Verdict(
@@ -458,6 +460,10 @@ def _known_block(row: pd.DataFrame, card: ReferenceCard) -> int:
     (identical,) = np.nonzero(same_recording(card.runs, row))
     if len(identical):
         return int(card.runs["block"].iloc[identical[0]])
-    block = int(row["block"].iloc[0])
-    of_card = row["label"].iloc[0] != "unknown" and block in card.scorer.block_
-    return block if of_card else NO_BLOCK
+    if row["label"].iloc[0] == "unknown":
+        return NO_BLOCK
+    same = card.runs["world"].eq(row["world"].iloc[0])
+    same &= card.runs["block"].mod(PER_SEED).eq(row["block"].iloc[0])
+    if "seed" in card.runs and "seed" in row:  # tables of a campaign have none
+        same &= card.runs["seed"].eq(row["seed"].iloc[0])
+    return int(card.runs.loc[same, "block"].iloc[0]) if same.any() else NO_BLOCK

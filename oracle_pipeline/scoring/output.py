@@ -12,6 +12,7 @@ from oracle_pipeline.scoring.alarms import RATE_PER_H
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.conformal import runs_needed
 from oracle_pipeline.scoring.outliers import outliers
+from oracle_pipeline.scoring.selection import recordings_for
 from oracle_pipeline.scoring.sentences import far_out, headline, rounded
 from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
 
@@ -157,6 +158,7 @@ def card_as_text(card: ReferenceCard) -> str:
         f"{len(scorer.design.window_features)} of windows.",
         f"Scores beside the verdict: {', '.join(card.aspects) or 'none'}.",
         _support(blocks),
+        _survives(),
         _alarms_as_text(card),
         _contract_as_text(card),
         *_roles_as_text(card),
@@ -213,6 +215,16 @@ def _support(blocks: int) -> str:
     ]
     supported = f"Verdicts: at a false positive rate of {1.0 / (blocks + 1):.2g} or more"
     return f"{'; '.join([supported, *lacking])}."
+
+
+def _survives() -> str:
+    """Describe how many recordings verdicts need if some of them are odd."""
+    rate = RATES[0]
+    one, two, three = (recordings_for(count, runs_needed(rate)) for count in (1, 2, 3))
+    return (
+        f"Odd recordings: at {rate:.0%}, {one} recordings survive one that is unlike all others, "
+        f"{two} two and {three} three."
+    )
 
 
 def _alarms_as_text(card: ReferenceCard) -> str:

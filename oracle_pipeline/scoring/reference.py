@@ -18,6 +18,7 @@ from oracle_pipeline.features import FeatureManager, FeatureTables
 from oracle_pipeline.logs.formats import logs_at
 from oracle_pipeline.robots.robot import recording_of
 from oracle_pipeline.robots.roles_file import RoleChoices
+from oracle_pipeline.scoring.blocks import Origin, blocks
 from oracle_pipeline.scoring.comparable import join_first
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.isolation import extract_isolated
@@ -68,7 +69,7 @@ def read_reference(
     paths : sequence of Path
         One table of run features, or one root with such tables below ``features/run``; or run
         directories, bags and folders of these, whose features are computed. Recordings without a
-        label count as normal runs, each as a block of its own.
+        label count as normal runs.
     manager : FeatureManager
         The plugins that compute the features.
     choices : RoleChoices, optional
@@ -107,7 +108,7 @@ def _extracted(
     paths: Sequence[Path], manager: FeatureManager, choices: RoleChoices | None
 ) -> Reference:
     """Compute the features of recordings, and of all recordings below folders."""
-    tables, windows, observations, notes, unlabelled = [], [], [], [], 0
+    tables, windows, observations, notes, origins = [], [], [], [], []
     below = {path: list(recordings_below(path)) for path in paths}
     notes += [f"{path} holds no recording; it is left out." for path in below if not below[path]]
     recordings = list(dict.fromkeys(each for found in below.values() for each in found))
@@ -124,32 +125,41 @@ def _extracted(
                 "has no window."
             )
             continue
-        unlabelled += not robots[0].has_manifest
-        for recording, both, observation, has_manifest, _ in robots:
+        origins.append(robots[0].origin)
+        for recording, both, observation, origin, _ in robots:
             notes += [f"{path}: {note}" for note in both.notes if note != NO_CHECKSUM]
-            if not has_manifest:  # the robots of one recording are one block
-                both = FeatureTables(
-                    *(
-                        table.assign(run_id=printable(recording), label="normal", block=-unlabelled)
-                        for table in both
-                    )
-                )
-            tables.append(both.run)
-            windows.append(both.windows)
+            if not origin.has_manifest:
+                own = {"run_id": printable(recording), "label": "normal"}
+                both = FeatureTables(*(table.assign(**own) for table in both))
+            tables.append(both.run.assign(seed=origin.seed, block=len(origins) - 1))
+            windows.append(both.windows.assign(block=len(origins) - 1))
             observations.append(observation)
     if not tables:
         raise ScoringError(
             f"{join_first([str(path) for path in paths])} has no recording to compare with; check "
             f"the path. {' '.join(notes)}".rstrip()
         )
-    if unlabelled:
-        about_all = f"{unlabelled} reference recordings have no label; they are taken as normal."
-        notes.insert(0, about_all)
+    notes = [*_about(origins), *notes]
+    block = np.array(blocks(origins))  # the robots of one recording are one block
+    tables, windows = (
+        [table.assign(block=block[table["block"]]) for table in each] for each in (tables, windows)
+    )
     table = feature_dataset(tables)
     row = {run_id: number for number, run_id in enumerate(table["run_id"])}
     order = np.argsort([row[each["run_id"].iloc[0]] for each in tables])
     in_order = tuple(observations[number] for number in order)
     return Reference(table, window_dataset(windows), in_order, tuple(notes), choices)
+
+
+def _about(origins: Sequence[Origin]) -> Iterator[str]:
+    """Yield notes on recordings without a label, and on those that are one block."""
+    if unlabelled := sum(not origin.has_manifest for origin in origins):
+        yield f"{unlabelled} reference recordings have no label; they are taken as normal."
+    if (count := len(set(blocks(origins)))) < len(origins):
+        yield (
+            f"{len(origins)} reference recordings count as {count} blocks: the others share the "
+            "start, on one day, or the world of one of these."
+        )
 
 
 def recordings_below(folder: Path) -> Iterator[Path]:

@@ -5,6 +5,7 @@ must exceed. Up to a tenth of the recordings are set aside if their scores are f
 """
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -77,6 +78,17 @@ def odd(scores: NDArray[np.float64]) -> NDArray[np.bool_]:
         if highest[count - 1] >= max(LEAST_SCORE, GAP * highest[count]):
             return np.asarray(scores >= highest[count - 1], dtype=np.bool_)
     return np.zeros(len(scores), dtype=np.bool_)
+
+
+def recordings_for(count: int, blocks: int) -> int:
+    """Return how many recordings survive some odd ones, and keep a number of blocks.
+
+    Examples
+    --------
+    >>> [recordings_for(count, 19) for count in (1, 2, 3)]
+    [20, 21, 30]
+    """
+    return max(math.ceil(count / MOST_ODD), blocks + count)
 
 
 def _named(reference: Reference, rows: NDArray[np.bool_]) -> str:

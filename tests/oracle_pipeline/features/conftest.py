@@ -101,7 +101,7 @@ Recorded = tuple[float, str, Any]
 def drive(nth: int = 0) -> list[Recorded]:
     """A robot that circles for 27 s, reaches one goal after 20 s and has another under way.
 
-    Each starts in another direction, so that none is a copy of another one.
+    Each starts elsewhere and in another direction, so that it is a block of its own.
     """
     root = "NavigateRecovery"
     recorded: list[Recorded] = [
@@ -115,7 +115,7 @@ def drive(nth: int = 0) -> list[Recorded]:
     ]
     for step in range(int(DURATION_S * 5) + 1):
         t = step / 5
-        yaw = 0.4 * t + nth / 10
+        yaw = 0.4 * t + nth / 2
         x, y = 0.5 * np.sin(yaw), -0.5 * np.cos(yaw)
         recorded.append((t, "/odom", odometry(t, x, y, yaw, 0.4)))
         ranges = 1.0 + 0.5 * np.sin(np.arange(12) + step)

@@ -44,10 +44,10 @@ def manager_that(what, folder):
 
 def test_features_are_computed_in_the_other_process(bag, tmp_path):
     (found,) = extract_isolated(bag, manager_that("pass", tmp_path / "plugins"))
-    recording, tables, seen, has_manifest, _ = found
+    recording, tables, seen, origin, _ = found
     assert recording == str(bag)
     assert tables.run["odd.value"].tolist() == [1.0]
-    assert not has_manifest
+    assert not origin.has_manifest
     assert set(seen.topics) == {"/chatter"}
 
 
