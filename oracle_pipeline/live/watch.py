@@ -106,7 +106,7 @@ class Watch:
         self._domain, self._folder, self._name = domain, folder, name
         self._split, self._piece_s, self._keep_free_bytes = split, piece_s, keep_free_bytes
         self._black_box = None if keep is None else BlackBox(keep)
-        self._triggers: deque[str] = deque()
+        self._triggers = frozenset() if keep is None else keep.topics
         self._stopped = False
         self._judge = None if card is None else JudgeProcess(card, alarms_per_h, plugins)
         self._contract = None if self._judge is None else self._judge.contract
@@ -128,8 +128,10 @@ class Watch:
         self._stopped = True
 
     def trigger(self, reason: str) -> None:
-        """Keep the time around now; a signal handler or another thread may call it."""
-        self._triggers.append(reason)
+        """Keep the time around now, with a black box; a signal handler may call it."""
+        if self._segment is not None and self._black_box is not None:
+            self._pending.append(Note(f"The time around now is kept: {reason}."))
+            self._black_box.alarm(self._segment.duration_s, {"trigger": reason})
 
     def __enter__(self) -> Self:
         return self
@@ -243,7 +245,7 @@ class Watch:
             self.received += 1
             if message.topic in self._latched:
                 self._latched[message.topic].append(each)
-            if self._black_box is not None and message.topic in self._black_box.keep.topics:
+            if message.topic in self._triggers:
                 self.trigger(f"a message on {message.topic}")
             msgtype = self._intake.topics[message.topic]
             yield MessageReceived(message.topic, msgtype, stamp_ns, message.data)
@@ -366,11 +368,7 @@ class Watch:
     # Verdicts.
 
     def _collect(self) -> None:
-        """Collect new verdicts and triggers."""
-        while self._triggers and self._segment is not None and self._black_box is not None:
-            reason = self._triggers.popleft()
-            self._pending.append(Note(f"The time around now is kept: {reason}."))
-            self._black_box.alarm(self._segment.duration_s, {"trigger": reason})
+        """Collect new verdicts."""
         if self._judge is not None:
             try:
                 before = self._judge.left_out
