@@ -19,6 +19,7 @@ from oracle_pipeline.graphs.differences import graph_differences
 from oracle_pipeline.graphs.intervals import interval_count, read_intervals
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.contract import Observation, Observer
+from oracle_pipeline.scoring.isolation import interfaces
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +137,7 @@ def observe(run: RunDirectory) -> Observation:
         robot = only_robot(opened)
         observer = Observer(robot.bag)
         recording = KeptMessages.read(robot, (), see=observer.see)
-        return observer.observation(opened, (recording.duration_ns - 1) * 1e-9)
+        return interfaces(observer, opened, robot, (recording.duration_ns - 1) * 1e-9)
 
 
 _INSPECTIONS = {

@@ -149,11 +149,16 @@ def _of_robot(
 ) -> Extracted:
     observer = Observer(robot.bag, paced=paced)
     tables, length_s, faults = _tables(run, robot, manager, observer, check)
-    roles = {role: found.topics for role, found in robot.roles.found.items() if found.topics}
-    seen = observer.observation(run, length_s)
-    seen = replace(seen, roles=roles, instead=robot.instead)
+    seen = interfaces(observer, run, robot, length_s)
     origin = origin_of(run, robot, starts=paced)
     return Extracted(of_robot(path, robot.name), tables, seen, origin, faults)
+
+
+def interfaces(observer: Observer, run: OpenedRun, robot: Robot, length_s: float) -> Observation:
+    """Return what was observed of a robot's messages, with the roles of its topics."""
+    roles = {role: found.topics for role, found in robot.roles.found.items() if found.topics}
+    seen = observer.observation(run, length_s)
+    return replace(seen, roles=roles, instead=robot.instead)
 
 
 def _tables(
