@@ -240,7 +240,7 @@ def test_of_two_spellings_of_a_topic_one_is_read_and_the_other_reported(tmp_path
     with BagReader(tmp_path / "a.db3", strict=True) as bag:
         assert [tuple(m) for m in bag.messages()] == [("/odom", *rest) for _, *rest in bare]
         assert bag.message_count == bag.topics["/odom"].count == len(bare)
-        note, _ = bag.notes
+        _, note = bag.notes
     assert note == (
         f"/odom was recorded as odom ({STRING}) and as /odom ({STRING}); the 2 messages of the "
         "latter are not used."
