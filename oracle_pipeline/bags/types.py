@@ -89,7 +89,7 @@ def message_class(msgtype: str) -> type[Any]:
     except KeyError:
         raise BagError(
             f"Message type {msgtype!r} is unknown; add its definition to oracle_pipeline/bags/msg, "
-            "and run `python -m oracle_pipeline.bags.interfaces`."
+            "and run `python -m tools.message_types`."
         ) from None
 
 

@@ -218,11 +218,6 @@ class CrossConformalScorer:
         return self.scorers_[0].unusual_families(known)
 
     @property
-    def smallest_p(self) -> float:
-        """The smallest p-value that a new run can get."""
-        return 1.0 / (len(np.unique(self.block_)) + 1.0)
-
-    @property
     def lengths(self) -> tuple[int, int] | None:
         """Fewest and most windows of a normal recording; None if windows have no features."""
         if self.windows_ is None:

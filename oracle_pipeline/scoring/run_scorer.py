@@ -165,11 +165,6 @@ class RunScorer:
             for column, centre in zip(scaler.kept_, scaler.center_, strict=True)
         }
 
-    def score_windows(self, windows: pd.DataFrame) -> NDArray[np.float64]:
-        """Return the score of each row of a window table, shape (n_windows,)."""
-        seen = _select(windows, self.design.window_features)
-        return np.asarray(-self.models_["windows"].score_samples(seen), dtype=np.float64)
-
     def alarm_scores(self, windows: pd.DataFrame) -> NDArray[np.float64]:
         """Return the score for alarms of each row of a window table, shape (n_windows,).
 

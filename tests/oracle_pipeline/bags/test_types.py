@@ -11,7 +11,6 @@ from mcap_ros2._dynamic import generate_dynamic
 from mcap_ros2.decoder import DecoderFactory
 
 from oracle_pipeline.bags.errors import BagError
-from oracle_pipeline.bags.interfaces import as_text, parsed
 from oracle_pipeline.bags.types import (
     definition,
     deserialize,
@@ -22,6 +21,7 @@ from oracle_pipeline.bags.types import (
     typestore,
 )
 from oracle_pipeline.bags.writer import BagWriter
+from tools.message_types import as_text, parsed
 
 OURS = (
     "atc_msgs/",
@@ -130,7 +130,7 @@ def test_unknown_type_is_named():
 
 
 def test_kept_fields_are_those_of_the_interface_files():
-    """If not, run ``python -m oracle_pipeline.bags.interfaces``."""
+    """If not, run ``python -m tools.message_types``."""
     kept = resources.files("oracle_pipeline.bags").joinpath("fields.json").read_text("utf8")
     assert kept == as_text(parsed())
     assert fields_from_text(kept) == parsed()

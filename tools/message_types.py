@@ -1,22 +1,22 @@
 """Parses the built-in message types from ROS's own interface files.
 
-Humble's are those of rosbags. The ones that it lacks are below ``msg/`` beside this module:
+Humble's are those of rosbags. The ones that it lacks are below ``oracle_pipeline/bags/msg/``:
 ``<package>/msg/*.msg``, ``<package>/srv/*.srv`` and ``<package>/action/*.action``; a service or
 action file yields the messages that ROS derives from it (``NavigateToPose_Goal``,
 ``NavigateToPose_FeedbackMessage``).
 
-``python -m oracle_pipeline.bags.interfaces`` writes ``fields.json``, which ``types`` reads.
+``python -m tools.message_types`` writes ``fields.json`` for
+``oracle_pipeline.bags.types``.
 """
 
 import json
 from collections.abc import Iterator
-from importlib.resources import files
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+_PACKAGE = Path(__file__).parents[1] / "oracle_pipeline" / "bags"
 # IDL has no empty struct, so ROS puts this byte into messages without fields.
 _EMPTY = "uint8 structure_needs_at_least_one_member\n"
 
@@ -25,7 +25,7 @@ def parsed() -> dict[str, Any]:
     """Return the fields of all types, by name, as rosbags has them."""
     ours = {
         name: fields
-        for package in files(__package__).joinpath("msg").iterdir()
+        for package in _PACKAGE.joinpath("msg").iterdir()
         for folder in package.iterdir()
         for file in folder.iterdir()
         for msgtype, text in _messages_of(package.name, folder.name, file)
@@ -42,7 +42,7 @@ def as_text(fields: dict[str, Any]) -> str:
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
-def _messages_of(package: str, folder: str, file: Traversable) -> Iterator[tuple[str, str]]:
+def _messages_of(package: str, folder: str, file: Path) -> Iterator[tuple[str, str]]:
     """Yield name and text of every message that one interface file defines."""
     name = f"{package}/{folder}/{file.name.partition('.')[0]}"
     parts = [part.strip() + "\n" for part in f"\n{file.read_text('utf8')}\n".split("\n---\n")]
@@ -72,4 +72,4 @@ def _parse(msgtype: str, text: str) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    Path(__file__).with_name("fields.json").write_text(as_text(parsed()), encoding="utf-8")
+    _PACKAGE.joinpath("fields.json").write_text(as_text(parsed()), encoding="utf-8")
