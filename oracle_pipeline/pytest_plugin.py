@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 _INI = "behaviour_reference"
 _FAR = 0.05
+_NO_VERDICT = 2  # exit code
 _MARKER = (
     "behaviour(far=0.05, reference=None): false positive rate of the fixture behaviour, and the "
     "card or folder of normal recordings to compare with"
@@ -58,11 +59,11 @@ class Behaviour:
             A recording cannot be judged, or there are too few normal ones for the rate.
         """
         from oracle_pipeline import score
-        from oracle_pipeline.scoring.output import in_brief
+        from oracle_pipeline.scoring.output import EXIT_CODES, in_brief
 
         verdicts = score(recordings, self._reference(), far=self._setting("far", _FAR))
         reasons = in_brief(verdicts.verdicts).strip()
-        if verdicts.outcome in ("unsupported", "error"):
+        if EXIT_CODES[verdicts.outcome] == _NO_VERDICT:
             raise OracleError(reasons)
         if reasons:
             self._item.add_report_section("call", "behaviour", str(verdicts))
