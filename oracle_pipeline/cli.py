@@ -376,7 +376,7 @@ def score(
     show_default=True, help="The only folder in which files are written.",
 )  # fmt: skip
 def mcp(folder: Path) -> None:
-    """Serve learn, score, compare, evidence and replay to an assistant.
+    """Serve the analysis to an assistant: learn, score and more.
 
     Speaks the Model Context Protocol over standard input and output. Needs the extra `mcp`.
 

@@ -9,7 +9,12 @@ from oracle_pipeline.bags.errors import OracleError
 
 @click.group()
 def card() -> None:
-    """Look into reference cards."""
+    """Look into reference cards.
+
+    \b
+    Example:
+        oracle card show robot.card
+    """  # noqa: D301 -- click reads the control character
 
 
 @card.command()

@@ -35,7 +35,7 @@ def test_a_test_passes_or_fails_with_the_sentence_and_never_without_a_verdict(
     (pytester.path / "robot.card").symlink_to(normal_card)
     pytester.makeini("[pytest]\nbehaviour_reference = robot.card\n")
     runs = {
-        "normal": str(recorded_run("lidar_passthrough", 4).path),
+        "normal": str(recorded_run("lidar_passthrough", 5).path),
         "attacked": str(recorded_run("random_noise").path),
     }
     pytester.makepyfile(TESTS.format(**runs))

@@ -287,8 +287,9 @@ def test_an_unfinished_recording_is_judged_with_a_note_unless_strict(bags, refer
     cut.write_bytes(next(bags["usual"].glob("*.mcap")).read_bytes()[:-100])
     done = oracle_score(cut, "--reference", reference, "--format", "json", expect=0)
     (verdict,) = json.loads(done.stdout)["recordings"]
-    assert "cut.mcap was not finished" in verdict["notes"][0]
-    assert "messages were read, up to" in verdict["notes"][0]
+    (caution,) = verdict["cautions"]
+    assert "cut.mcap was not finished" in caution
+    assert "messages were read, up to" in caution
     done = oracle_score(cut, "--reference", reference, "--strict", expect=2)
     assert "is incomplete" in done.stdout
 
