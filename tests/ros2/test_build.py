@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from lxml import etree
 
-from oracle_pipeline.graphs import rclpy_graphs as shared
+from oracle_graph_recorder import interval_graphs
 
 ROOT = Path(__file__).parents[2] / "ros2" / "oracle_graph_recorder"
 NAME = "oracle_graph_recorder"
@@ -59,7 +59,8 @@ def test_a_build_installs_what_ros_looks_for(wheel):
         f"share/{NAME}/package.xml",
         f"share/{NAME}/launch/record_graphs.launch.py",
     }
-    assert {f"{NAME}/__init__.py", f"{NAME}/recorder_node.py"} <= wheel.keys()
+    modules = ("__init__", "recorder_node", "interval_graphs")
+    assert {f"{NAME}/{module}.py" for module in modules} <= wheel.keys()
 
 
 def test_the_build_has_the_version_and_licence_of_the_manifest(wheel, manifest):
@@ -92,18 +93,19 @@ def test_imported_ros_packages_are_declared(manifest):
             names += [each.name for each in node.names] if isinstance(node, ast.Import) else []
             imported |= {name.partition(".")[0] for name in names}
     assert imported & OF_ROS == declared
-    assert imported - OF_ROS <= {NAME, "oracle_pipeline", "setuptools", *sys.stdlib_module_names}
+    known = {NAME, "networkx", "oracle_pipeline", "setuptools", *sys.stdlib_module_names}
+    assert imported - OF_ROS <= known
 
 
-def test_the_node_imports_what_the_shared_module_has():
+def test_the_node_imports_what_its_module_has():
     names = {
         alias.name
         for node in ast.walk(syntax(f"{NAME}/recorder_node.py"))
-        if isinstance(node, ast.ImportFrom) and node.module == shared.__name__
+        if isinstance(node, ast.ImportFrom) and node.module == interval_graphs.__name__
         for alias in node.names
     }
     assert names
-    assert names <= vars(shared).keys()
+    assert names <= vars(interval_graphs).keys()
 
 
 def test_the_launch_file_starts_the_program_with_parameters_that_it_declares():

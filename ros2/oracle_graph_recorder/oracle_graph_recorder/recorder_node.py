@@ -1,7 +1,7 @@
 """The node that subscribes to all visible topics as bytes, and writes each interval's graph.
 
-The work on graphs is done in ``oracle_pipeline.graphs.rclpy_graphs``. This file is a thin shell
-around it. It needs rclpy, so the tests of this repository do not cover it.
+The work on graphs is done in ``interval_graphs``. This file is a thin shell around it. It needs
+rclpy, so the tests of this repository do not cover it.
 """
 
 from pathlib import Path
@@ -18,9 +18,14 @@ from rclpy.qos import (
 )
 from rosidl_runtime_py.utilities import get_message
 
+from oracle_graph_recorder.interval_graphs import (
+    IntervalGraphs,
+    Traffic,
+    full_name,
+    snapshot,
+)
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.protocol import is_hidden
-from oracle_pipeline.graphs.rclpy_graphs import IntervalGraphs, Traffic, full_name, snapshot
 
 _DISCOVERY_S = 0.1  # rosbag2 looks for new topics this often
 _DEPTH = 100

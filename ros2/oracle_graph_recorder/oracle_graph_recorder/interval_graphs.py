@@ -1,7 +1,6 @@
 """Interval graphs from rclpy's graph API, in the format of the recorder.
 
-The ROS package below ``ros2/`` passes its node to this module, which does not import rclpy. Without
-ROS, ``oracle watch`` does the same from DDS.
+The node passes itself to this module, which does not import rclpy, so tests run it without ROS.
 """
 
 from collections import Counter

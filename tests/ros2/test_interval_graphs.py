@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from oracle_graph_recorder.interval_graphs import IntervalGraphs, Traffic, _divided, snapshot
 from oracle_pipeline.bags.graph_files import RosGraph, read_gexf
 from oracle_pipeline.bags.qos_profiles import compatible
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.graphs.intervals import compose, read_intervals
-from oracle_pipeline.graphs.rclpy_graphs import IntervalGraphs, Traffic, _divided, snapshot
 from sim.middleware.domain import Domain
 from sim.middleware.endpoints import Publisher, Subscription
 from sim.recording import GraphRecorder
