@@ -97,6 +97,7 @@ class JudgeProcess:
         self.contract = known.contract
         self.left_out = 0
         self._behind = 0  # windows without an answer
+        self._of_before = 0  # of these, how many are of a segment that has ended
         self._blind_until_ns = 0  # windows that begin earlier lack messages
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
@@ -112,7 +113,11 @@ class JudgeProcess:
         self._send(_Topic(name, msgtype, qos))
 
     def begin(self) -> None:
-        """Begin another segment; its messages start anew."""
+        """Begin another segment; its messages start anew.
+
+        Windows of the one before that have no verdict yet are left out.
+        """
+        self._of_before = self._behind
         self._send(_Begin())
 
     def add(self, messages: list[RawMessage]) -> None:
@@ -145,7 +150,7 @@ class JudgeProcess:
             self._send(_Window(recording_ns, start_ns, end_ns, time.monotonic(), timed))
 
     def verdicts(self, timeout_s: float = 0.0) -> Iterator[WindowVerdict]:
-        """Yield the verdicts that have arrived, or arrive within some time.
+        """Yield the verdicts that have arrived, or arrive within some time of each other.
 
         Raises
         ------
@@ -153,12 +158,14 @@ class JudgeProcess:
             If the process died, or a window could not be judged.
         """
         try:
-            while self._pipe.poll(timeout_s):
+            while self._pipe.poll(timeout_s if self._behind else 0.0):
                 answer: _Answer = self._pipe.recv()
                 self._behind -= 1
                 if isinstance(answer, OracleError):
                     raise answer
-                if isinstance(answer, _LeftOut):
+                is_late = self._of_before > 0
+                self._of_before -= is_late
+                if is_late or isinstance(answer, _LeftOut):
                     self.left_out += 1
                 else:
                     yield answer

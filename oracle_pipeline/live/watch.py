@@ -35,6 +35,7 @@ _SETTLE_S = 2.0  # from the first topic until discovery is taken to be complete
 _DISCOVERY_S = 0.1  # rosbag2 looks for new topics this often
 _FLUSH_S = 1.0  # of what is lost at most if the watch is killed
 _PAUSE_S = 0.05  # between two reads of the queue; waking up for each message costs more
+_VERDICT_S = 5.0  # that a segment waits for a verdict on one of its windows
 _LATCHED = 20  # newest messages of a latched topic, with which another segment begins
 
 
@@ -325,6 +326,7 @@ class Watch:
         """End the segment; the next message begins another one."""
         if self._segment is not None:
             self._pending.append(Note(f"{step.reason} Another recording begins."))
+            self._collect(_VERDICT_S)
             self._end_segment()
             if self._judge is not None:
                 self._judge.begin()
@@ -367,12 +369,12 @@ class Watch:
 
     # Verdicts.
 
-    def _collect(self) -> None:
-        """Collect new verdicts."""
+    def _collect(self, timeout_s: float = 0.0) -> None:
+        """Collect new verdicts, and wait for those that are still to come."""
         if self._judge is not None:
             try:
                 before = self._judge.left_out
-                for verdict in self._judge.verdicts():
+                for verdict in self._judge.verdicts(timeout_s):
                     self._judged(verdict)
                 if left_out := self._judge.left_out - before:
                     self._pending.append(

@@ -217,6 +217,17 @@ def test_windows_that_come_too_fast_are_left_out_and_the_newest_are_judged(
     judge.close()
 
 
+def test_a_window_from_before_a_step_of_the_clock_gets_no_verdict_in_the_next_segment(
+    normal_card, recorded_run
+):
+    hurried = Hurried(normal_card, recorded_run(NORMAL, 5).path)
+    hurried.end_window(10.0)
+    hurried.judge.begin()
+    while not hurried.judge.left_out:
+        assert not list(hurried.judge.verdicts(1.0))
+    hurried.judge.close()
+
+
 def test_a_judge_that_is_far_behind_judges_no_window_that_lacks_messages(normal_card, recorded_run):
     hurried = Hurried(normal_card, recorded_run(NORMAL, 5).path)
     judge, ended, verdicts = hurried.judge, 30, []
