@@ -13,7 +13,7 @@ from oracle_pipeline.comparison.set_comparison import SetComparison, read_sets
 from oracle_pipeline.comparison.set_comparison import compare as compare_sets
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.features import FeatureManager, build_manager
-from oracle_pipeline.replay.picture import picture
+from oracle_pipeline.replay.picture import pictures
 from oracle_pipeline.reporting import verdict_page
 from oracle_pipeline.scoring import judging, output
 from oracle_pipeline.scoring.card import ReferenceCard
@@ -72,7 +72,7 @@ class Verdicts:
     def write_page(self, path: str | Path) -> None:
         """Write a page (HTML) with the verdicts, their evidence and pictures."""
         verdict_page.write(
-            Path(path), self.verdicts, self.far, self.notes, self._manager, DEFAULT_LIMITS, picture
+            Path(path), self.verdicts, self.far, self.notes, self._manager, DEFAULT_LIMITS, pictures
         )
 
     def write_junit(self, path: str | Path) -> None:

@@ -362,10 +362,10 @@ def score(
         with replacing(badge) as sink:
             sink.write(as_badge(verdicts, datetime.now(UTC).date()))
     if page is not None:
-        from oracle_pipeline.replay.picture import picture
+        from oracle_pipeline.replay.picture import pictures
         from oracle_pipeline.reporting import verdict_page
 
-        verdict_page.write(page, verdicts, far, (*normal.notes,), manager, limits, picture)
+        verdict_page.write(page, verdicts, far, (*normal.notes,), manager, limits, pictures)
         click.echo(f"Page: {page.resolve().as_uri()}", err=True)
     ctx.exit(output.exit_code(verdicts))
 

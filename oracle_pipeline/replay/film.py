@@ -3,6 +3,8 @@
 Static parts are drawn once; a frame is a copy of them with the moving parts on top.
 """
 
+import io
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +85,16 @@ def save_film(scene: ReplayScene, path: Path, speed: float) -> None:
             sink, save_all=True, append_images=frames, loop=0,
             duration=np.rint(shown_ms).astype(int).tolist(), **FORMATS[path.suffix],
         )  # fmt: skip
+
+
+def frames(scene: ReplayScene) -> Iterator[tuple[float, bytes]]:
+    """Yield the time [s] and the frame, as PNG, of each moment of a scene."""
+    film = _Film(scene)
+    palette = _palette(film, scene)
+    for moment in scene.moments:
+        sink = io.BytesIO()
+        _indexed(film.frame(moment), palette).save(sink, "PNG", optimize=True)
+        yield moment.time_s, sink.getvalue()
 
 
 def _palette(film: "_Film", scene: ReplayScene) -> Image.Image:

@@ -8,6 +8,7 @@ from oracle_pipeline.bags.remote import fetched
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, MANIFEST_FILE
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.opened_run import OpenedRun, open_run
+from oracle_pipeline.replay.film import frames
 from oracle_pipeline.replay.radar import has_tracks, plan_view, radar_display
 from oracle_pipeline.replay.scene import top_down
 from oracle_pipeline.replay.story import run_scene
@@ -38,8 +39,14 @@ def kept_picture(path: Path) -> bytes:
     return png
 
 
-def picture(run_or_bag: Path) -> bytes:
-    """Return the picture of a run directory or a bag, as PNG.
+def pictures(run_or_bag: Path, number: int = 1) -> list[tuple[float, bytes]]:
+    """Return about some number of pictures of a run directory or a bag, with their times.
+
+    Returns
+    -------
+    list of (float, bytes)
+        Seconds since the start, and PNG. One picture shows the whole run, from 0 s; air traffic
+        has no others.
 
     Raises
     ------
@@ -47,7 +54,9 @@ def picture(run_or_bag: Path) -> bytes:
         If it cannot be read or drawn.
     """
     with open_run(run_or_bag) as run:
-        return _drawn(run)
+        if number == 1 or has_tracks(run):
+            return [(0.0, _drawn(run))]
+        return list(frames(run_scene(run, number / max(run.duration_s, 1.0))))
 
 
 def _drawn(run: OpenedRun) -> bytes:

@@ -1,17 +1,27 @@
-"""The page of `oracle score --page`: each verdict with its picture and its evidence.
+"""The page of `oracle score --page`: each verdict with its film and its evidence.
 
 One self-contained HTML file that loads nothing from the network. Names and texts of a recording are
-escaped, and pictures are drawn in separate processes, as features are computed.
+escaped, and pictures are drawn in separate processes, as features are computed. The only script is
+ours, and browsers run no other: the page states its hash.
 """
 
+import base64
+import hashlib
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.features import FeatureManager
+from oracle_pipeline.reporting.signal_plots import (
+    SignalPlot,
+    first_evidence,
+    length_s,
+    signal_plots,
+)
 from oracle_pipeline.reporting.templating import png_uri, template
 from oracle_pipeline.scoring.isolation import Limits, run_isolated
 from oracle_pipeline.scoring.output import (
@@ -36,14 +46,32 @@ _HEADLINES: dict[Judgement, str] = {
     "error": "Could not be judged",
 }
 
+FRAMES = 60  # of a film
+MOST_FILMS = 10  # of a page, which has a megabyte for each; further recordings have a picture
+
+
+class Draw(Protocol):
+    """Draws a recording; picklable."""
+
+    def __call__(self, recording: Path, /, number: int) -> Sequence[tuple[float, bytes]]:
+        """Return about some number of pictures, each as time [s] and PNG; one shows the whole."""
+
 
 class _Shown(NamedTuple):
-    """One verdict, with its texts and its picture as the page shows them."""
+    """One verdict, with its texts, pictures and plots as the page shows them."""
 
     verdict: Verdict
     sentences: Sequence[str]
-    picture: str  # data URI; empty if it could not be drawn
+    film: Sequence[tuple[float, str]]  # time [s] and data URI; empty if it could not be drawn
+    plots: Sequence[SignalPlot]
+    start_s: float  # of the slider: where the first evidence begins
+    length_s: float  # of the slider; 0 without one
     remarks: Sequence[str]
+
+    @property
+    def first_frame(self) -> int:
+        """Index of the frame at the start of the slider."""
+        return max((n for n, (at, _) in enumerate(self.film) if at <= self.start_s), default=0)
 
 
 def write(
@@ -53,7 +81,7 @@ def write(
     notes: Sequence[str],
     manager: FeatureManager,
     limits: Limits,
-    draw: Callable[[Path], bytes],
+    draw: Draw,
 ) -> None:
     """Write the page.
 
@@ -70,13 +98,20 @@ def write(
         Provides the descriptions of the features.
     limits : Limits
         Of each process that draws a recording.
-    draw : callable
-        A picklable function that takes the path of a recording and returns its picture as PNG.
+    draw : Draw
     """
+    script = template("scrub.js").render()
+    odd = [verdict for verdict in verdicts if verdict.outcome not in ("normal", "error")]
+    filmed = odd[:MOST_FILMS]
     page = template("verdicts.html.j2").render(
         headline=headline,
         tally=tally(verdicts),
-        judged=[_shown(verdict, far, limits, draw) for verdict in verdicts],
+        judged=[
+            _shown(verdict, far, limits, partial(draw, number=FRAMES if verdict in filmed else 1))
+            for verdict in verdicts
+        ],
+        script=script,
+        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         words=_HEADLINES,
         meanings={name: feature.description for name, feature in manager.features().items()},
         headings=HEADINGS[:4],
@@ -88,19 +123,34 @@ def write(
         sink.write(printable(page).encode())
 
 
-def _shown(verdict: Verdict, far: float, limits: Limits, draw: Callable[[Path], bytes]) -> _Shown:
-    more, picture = verdict.contract[MOST_BREACHES:], ""
+def _shown(
+    verdict: Verdict,
+    far: float,
+    limits: Limits,
+    draw: Callable[[Path], Sequence[tuple[float, bytes]]],
+) -> _Shown:
+    more, frames = verdict.contract[MOST_BREACHES:], list[tuple[float, bytes]]()
     remarks = [*map(family_as_text, verdict.families), *more, *verdict.notes]
     if verdict.outcome != "error":
         try:
-            picture = png_uri(run_isolated(draw, Path(verdict.recording), limits))
+            frames = list(run_isolated(draw, Path(verdict.recording), limits))
         except OracleError as error:
             remarks.append(f"It is not drawn: {error}")
     sentences = [
         *verdict.cautions, *breaches(verdict, "the remarks list all"), _sentence(verdict, far),
         *verdict.differences, *beside(verdict),
     ]  # fmt: skip
-    return _Shown(verdict, sentences, picture, remarks)
+    length = max([length_s(verdict), *(at for at, _ in frames)])
+    told = first_evidence(verdict)
+    return _Shown(
+        verdict,
+        sentences,
+        [(at, png_uri(png)) for at, png in frames],
+        signal_plots(verdict, length),
+        (told and told.window_start_s) or 0.0,
+        length,
+        remarks,
+    )
 
 
 def _sentence(verdict: Verdict, far: float) -> str:

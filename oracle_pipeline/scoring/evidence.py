@@ -1,6 +1,7 @@
 """The features of a recording that are farthest from normal runs, with place and time."""
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -10,7 +11,8 @@ from oracle_pipeline.datasets import WHERE, WINDOW_START, topic_of_signal
 from oracle_pipeline.detectors import Deviation, explain
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.comparable import comparable
-from oracle_pipeline.scoring.verdict import Evidence, ScoringError
+from oracle_pipeline.scoring.run_scorer import NormalRange
+from oracle_pipeline.scoring.verdict import Evidence, ScoringError, WindowSeries
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
 SHOWN = 5  # features listed with a verdict
@@ -63,6 +65,33 @@ def farthest_features(
             window_end_s=span[1],
         )
         for deviation, span in spans.items()
+    )
+
+
+def window_series(
+    evidence: Sequence[Evidence], windows: pd.DataFrame, normal: Mapping[str, NormalRange]
+) -> tuple[WindowSeries, ...]:
+    """Return the values in windows of the features that windows have.
+
+    Parameters
+    ----------
+    evidence : sequence of Evidence
+    windows : DataFrame
+        Of the recording, one row each.
+    normal : mapping of str to NormalRange
+        Range of a feature in normal windows.
+    """
+    return tuple(
+        WindowSeries(
+            each.feature,
+            each.unit,
+            tuple(windows[WINDOW_START].tolist()),
+            tuple(v if math.isfinite(v) else None for v in windows[each.feature].tolist()),
+            normal[each.feature].low,
+            normal[each.feature].high,
+        )
+        for each in evidence
+        if each.feature in normal and each.feature in windows.columns
     )
 
 

@@ -29,7 +29,7 @@ from oracle_pipeline.scoring.comparable import same_recording, shared_features
 from oracle_pipeline.scoring.conformal import adjusted_for_suite, runs_needed
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
-from oracle_pipeline.scoring.evidence import farthest_features
+from oracle_pipeline.scoring.evidence import farthest_features, window_series
 from oracle_pipeline.scoring.isolation import (
     DEFAULT_LIMITS,
     Check,
@@ -291,10 +291,14 @@ def _scored(
         signals = []  # they do not count for a recording of another length
     if signals:
         deviations += explain(others, tables.run, signals, SignalScaler)
+    normal = card.scorer.scorers_[0].normal_in_windows
+    usual = {column: of_windows.usual for column, of_windows in normal.items()}
+    evidence = farthest_features(deviations, tables, usual)
     return replace(
         verdict,
         features=len(columns),
-        evidence=farthest_features(deviations, tables, card.scorer.scorers_[0].usual_in_windows),
+        evidence=evidence,
+        series=window_series(evidence, tables.windows, normal),
         families=tuple(by_family(deviations, [*columns, *signals])),
         notes=(*verdict.notes, *notes),
     )

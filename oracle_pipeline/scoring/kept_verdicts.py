@@ -12,7 +12,13 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.alarms import Alarm
-from oracle_pipeline.scoring.verdict import AspectScore, CardOrigin, Evidence, Verdict
+from oracle_pipeline.scoring.verdict import (
+    AspectScore,
+    CardOrigin,
+    Evidence,
+    Verdict,
+    WindowSeries,
+)
 
 VERSION = 2
 
@@ -76,6 +82,11 @@ def _or_error(path: Path) -> KeptVerdict:
         return KeptVerdict(key, "", Verdict(key, "error", error=str(error)), 0.0, "", "")
 
 
+def _series(document: Mapping[str, Any]) -> WindowSeries:
+    arrays = {name: tuple(document[name]) for name in ("start_s", "values")}
+    return WindowSeries(**{**document, **arrays})
+
+
 def _verdict(document: Mapping[str, Any]) -> Verdict:
     return Verdict(
         **{
@@ -84,6 +95,7 @@ def _verdict(document: Mapping[str, Any]) -> Verdict:
             "aspects": {name: AspectScore(**of) for name, of in document["aspects"].items()},
             "alarms": tuple(Alarm(**each) for each in document["alarms"]),
             "evidence": tuple(Evidence(**each) for each in document["evidence"]),
+            "series": tuple(_series(each) for each in document.get("series", ())),
             "families": tuple(FamilyDeviation(*each) for each in document["families"]),
             **{name: tuple(document[name]) for name in ("notes", "cautions", "differences")},
             "card": CardOrigin(**document["card"]) if document.get("card") else None,

@@ -5,6 +5,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 from oracle_pipeline.bags.terminal import aligned_lines
 from oracle_pipeline.detectors import FamilyDeviation
@@ -85,10 +86,17 @@ def as_json(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> st
         "false_alarm_rate": far,
         "notes": list(notes),
         "recordings": [
-            {**dataclasses.asdict(verdict), "summary": headline(verdict)} for verdict in verdicts
+            {**_without_series(verdict), "summary": headline(verdict)} for verdict in verdicts
         ],
     }
     return json.dumps(document, indent=2, allow_nan=False)
+
+
+def _without_series(verdict: Verdict) -> dict[str, Any]:
+    """Return a verdict as a document; `oracle features` prints all windows."""
+    document = dataclasses.asdict(verdict)
+    del document["series"]
+    return document
 
 
 def in_brief(verdicts: Sequence[Verdict]) -> str:

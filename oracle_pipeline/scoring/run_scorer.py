@@ -12,7 +12,7 @@ among the many that it does not change.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import pandas as pd
@@ -96,6 +96,14 @@ class Design:
         return self.window_features if level in OF_WINDOWS else self.run_features
 
 
+class NormalRange(NamedTuple):
+    """What a column has in normal windows, in its unit."""
+
+    low: float  # reached
+    usual: float  # the median
+    high: float  # reached
+
+
 class RunScorer:
     """Scores runs by a model of normal runs; higher is more anomalous.
 
@@ -156,14 +164,19 @@ class RunScorer:
         return tuple(level for level in self.design.levels if level in self.models_)
 
     @property
-    def usual_in_windows(self) -> dict[str, float]:
-        """The median of each column in normal windows, in its unit."""
-        scalers = [model[0] for level, model in self.models_.items() if level in OF_WINDOWS]
-        return {
-            column: float(centre)
-            for scaler in scalers
-            for column, centre in zip(scaler.kept_, scaler.center_, strict=True)
-        }
+    def normal_in_windows(self) -> dict[str, NormalRange]:
+        """The range of each column in normal windows; signals reach `LEAST_REACH` scales."""
+        ranges: dict[str, NormalRange] = {}
+        for level, model in self.models_.items():
+            if level in OF_WINDOWS:
+                scaler = model[0]
+                reach = self.reach_[: len(scaler.kept_)] if level == "windows" else LEAST_REACH
+                spread = scaler.scale_ * np.where(getattr(scaler, "is_constant_", False), 0, reach)
+                ends = zip(scaler.center_ - spread, scaler.center_, scaler.center_ + spread,
+                           strict=True)  # fmt: skip
+                of_level = (NormalRange(*map(float, each)) for each in ends)
+                ranges |= dict(zip(scaler.kept_, of_level, strict=True))
+        return ranges
 
     def alarm_scores(self, windows: pd.DataFrame) -> NDArray[np.float64]:
         """Return the score for alarms of each row of a window table, shape (n_windows,).

@@ -92,14 +92,14 @@ def headline(verdict: Verdict) -> str:
             "those of the reference. Use a reference of this system."
         )
     if verdict.outcome == "normal" and (far := far_out(verdict)):
-        return f"Normal as a whole, but far outside in one feature: {sentence(_clearest(far))}"
+        return f"Normal as a whole, but far outside in one feature: {sentence(clearest(far))}"
     if verdict.outcome == "normal":
         return "It behaved as the normal runs did."
     if verdict.contract and (verdict.outcome == "breach" or not verdict.evidence):
         return verdict.contract[0]
     if not verdict.evidence:
         return "Its features together are unlike those of normal runs; none of them alone is."
-    told = sentence(_clearest(verdict.evidence))
+    told = sentence(clearest(verdict.evidence))
     if verdict.outcome == "unsupported":
         return f"Too few normal runs for a verdict. Most unusual: {told[0].lower()}{told[1:]}"
     return told
@@ -163,7 +163,7 @@ def _text(evidence: Evidence, value: str, usual: str) -> str:
     return f"{text}: {name} {value}, in normal runs {usual}"
 
 
-def _clearest(evidence: Sequence[Evidence]) -> Evidence:
+def clearest(evidence: Sequence[Evidence]) -> Evidence:
     """Return the farthest feature that has a phrase, unless another is much farther."""
     farthest = abs(evidence[0].z)
     clear = (e for e in evidence if _is_clear(e.feature) and abs(e.z) >= _CLEAR * farthest)

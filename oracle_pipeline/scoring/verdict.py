@@ -37,6 +37,18 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True)
+class WindowSeries:
+    """A feature in the windows of a recording, and the range that it has in normal windows."""
+
+    feature: str
+    unit: str
+    start_s: tuple[float, ...]  # of each window
+    values: tuple[float | None, ...]  # None where it is missing
+    normal_low: float
+    normal_high: float
+
+
+@dataclass(frozen=True, slots=True)
 class AspectScore:
     """Score of a recording in one aspect: tampering or misbehaviour."""
 
@@ -84,3 +96,4 @@ class Verdict:
     in_common: float | None = None  # share of roles, topics and types that the reference has too
     differences: tuple[str, ...] = ()  # of another system, the largest first
     card: CardOrigin | None = None  # None: learned for this verdict
+    series: tuple[WindowSeries, ...] = ()  # of the evidence that windows have

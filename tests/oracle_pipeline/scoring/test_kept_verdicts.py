@@ -8,13 +8,14 @@ from oracle_pipeline.bags import layout
 from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.alarms import Alarm
 from oracle_pipeline.scoring.kept_verdicts import KeptVerdict, KeptVerdictError, kept_verdicts
-from oracle_pipeline.scoring.verdict import AspectScore, Evidence, Verdict
+from oracle_pipeline.scoring.verdict import AspectScore, Evidence, Verdict, WindowSeries
 
 WHOLE = Verdict(
     "a recording", "anomalous", ("Topic /scan is gone.",), 0.01, 0.02, 7.5,
     {"behaviour": AspectScore(0.1, 0.2, 3.0)}, (Alarm(15.0, 4.0, 3.0),), 0.5, 12, 20, 19,
     (Evidence("scan.noise", 9.0, True, 1.5, "m", 0.0, 1.0, "/scan", 5.0),),
     (FamilyDeviation("scan", 3, 12, "scan.noise", 9.0, True),), ("a note",),
+    series=(WindowSeries("scan.noise", "m", (0.0, 2.5), (1.5, None), 0.0, 1.0),),
 )  # fmt: skip
 
 

@@ -35,7 +35,11 @@ def beyond(windows, scorer, times):
 
 
 def test_no_fitted_window_is_beyond_what_fitted_windows_reach():
-    assert fitted(WINDOWS).alarm_scores(WINDOWS).max() <= 1.0
+    scorer = fitted(WINDOWS)
+    assert scorer.alarm_scores(WINDOWS).max() <= 1.0
+    for column, normal in scorer.normal_in_windows.items():
+        assert normal.low <= WINDOWS[column].min() <= normal.usual == WINDOWS[column].median()
+        assert WINDOWS[column].max() <= normal.high
 
 
 @given(times=st.floats(1.1, 5.0), others=st.integers(0, 200))
