@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 from oracle_pipeline.clustering.tree import ClusteringError, Tree
 
 
-def outside_largest(
-    clusters: NDArray[np.int32], copies: NDArray[np.int64] | None = None
-) -> NDArray[np.bool_]:
-    """Call every row outside the largest cluster anomalous; rows are weighted by `copies`.
+def outside_largest(clusters: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Call every row outside the largest cluster anomalous.
 
     The rule assumes that normal behaviour is the most common [1]_. The first of equally large
     clusters counts as the largest.
@@ -26,7 +24,7 @@ def outside_largest(
     >>> outside_largest(np.array([2, 1, 2, 3], dtype=np.int32))
     array([False,  True, False,  True])
     """
-    largest = np.argmax(np.bincount(clusters, weights=copies))
+    largest = np.argmax(np.bincount(clusters))
     return np.asarray(clusters != largest, dtype=np.bool_)
 
 
@@ -40,7 +38,7 @@ def hac_height(tree: Tree, reference: NDArray[np.bool_] | None = None) -> NDArra
     Parameters
     ----------
     tree : Tree
-        Over n distinct rows, weighted by their copies.
+        Over n rows.
     reference : ndarray of bool, shape (n,), optional
         The rows that represent normal behaviour; by default all rows, which assumes that most are
         normal.
@@ -55,7 +53,7 @@ def hac_height(tree: Tree, reference: NDArray[np.bool_] | None = None) -> NDArra
     if not reference.any():
         raise ClusteringError("No row is marked as reference; mark the rows of normal behaviour.")
     children = tree.merges[:, :2].astype(np.intp).tolist()
-    held = [*(reference * tree.copies).tolist(), *[0] * (n - 1)]
+    held = [*reference.tolist(), *[0] * (n - 1)]
     for node, (left, right) in enumerate(children, start=n):
         held[node] = held[left] + held[right]
 
@@ -66,24 +64,3 @@ def hac_height(tree: Tree, reference: NDArray[np.bool_] | None = None) -> NDArra
             if held[child] < half:
                 height[child] = height[node]
     return np.array(height[:n])
-
-
-def small_cluster_score(tree: Tree, kappa: float) -> NDArray[np.float64]:
-    """Return ``1 - |cluster of x| / N`` when the tree is cut into ``round(kappa N)`` clusters.
-
-    Parameters
-    ----------
-    tree : Tree
-        Over n distinct rows, N with their copies.
-    kappa : float
-        Number of clusters over number of rows; 0.15 to 0.20 in the literature.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        In [0, 1).
-    """
-    rows = tree.copies.sum()
-    clusters = tree.cut("maxclust", max(1, round(kappa * rows)))
-    share = np.bincount(clusters, weights=tree.copies) / rows
-    return np.asarray(1.0 - share[clusters], dtype=np.float64)

@@ -3,13 +3,12 @@
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.covariance import EllipticEnvelope
-from sklearn.mixture import GaussianMixture
 from sklearn.neighbors import LocalOutlierFactor
 from sklearn.utils.validation import validate_data
 
-from oracle_pipeline.detectors.base import DetectorError, OwnDetector
+from oracle_pipeline.detectors.base import DetectorError
 
 ROWS_PER_FEATURE = 5  # with fewer, a minimum covariance determinant is mostly noise
 
@@ -47,35 +46,3 @@ class AmpleEllipticEnvelope(EllipticEnvelope):  # type: ignore[misc]  # untyped 
             )
         fitted: Self = super().fit(X)
         return fitted
-
-
-class BestGaussianMixture(OwnDetector):
-    """Likelihood under the mixture of independent Gaussians with the lowest BIC.
-
-    Parameters
-    ----------
-    max_components : int
-        Largest number of components.
-    reg_covar : float
-        Smallest variance, in squared units of the rows (z-scores).
-    random_state : int, optional
-    """
-
-    def __init__(
-        self, max_components: int = 3, reg_covar: float = 0.1, random_state: int | None = None
-    ) -> None:
-        self.max_components = max_components
-        self.reg_covar = reg_covar
-        self.random_state = random_state
-
-    def _learn(self, X: NDArray[np.float64]) -> None:
-        mixtures = [
-            GaussianMixture(
-                n, covariance_type="diag", reg_covar=self.reg_covar, random_state=self.random_state
-            ).fit(X)
-            for n in range(1, min(self.max_components, len(X)) + 1)
-        ]
-        self.mixture_ = min(mixtures, key=lambda mixture: float(mixture.bic(X)))
-
-    def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
-        return -np.asarray(self.mixture_.score_samples(X), dtype=np.float64)

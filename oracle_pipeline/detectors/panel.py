@@ -14,12 +14,7 @@ from sklearn.svm import OneClassSVM
 
 from oracle_pipeline.clustering.scaling import FlooredRobustScaler
 from oracle_pipeline.detectors.base import Detector, DetectorError
-from oracle_pipeline.detectors.clusters import (
-    DenseRegions,
-    HacHeight,
-    ReferenceDistance,
-    SmallCluster,
-)
+from oracle_pipeline.detectors.clusters import HacHeight
 from oracle_pipeline.detectors.distances import (
     LargestZ,
     Mahalanobis,
@@ -28,7 +23,6 @@ from oracle_pipeline.detectors.distances import (
 )
 from oracle_pipeline.detectors.guarded import (
     AmpleEllipticEnvelope,
-    BestGaussianMixture,
     DistinctLocalOutlierFactor,
 )
 
@@ -40,9 +34,6 @@ def panel(seed: int) -> dict[str, Detector]:
     """Return the detectors by name, unfitted; `seed` is for randomised ones."""
     return {
         "hac_height": HacHeight(),
-        "small_cluster_count": SmallCluster(reading="count"),
-        "small_cluster_size": SmallCluster(reading="size"),
-        "reference_distance": ReferenceDistance(),
         "mahalanobis": Mahalanobis(),
         "max_z": LargestZ(),
         "knn": NearestRuns(n_neighbors=5),
@@ -50,8 +41,6 @@ def panel(seed: int) -> dict[str, Detector]:
         "isolation_forest": IsolationForest(n_estimators=300, random_state=seed),
         "elliptic_envelope": AmpleEllipticEnvelope(random_state=seed),
         "lof": DistinctLocalOutlierFactor(n_neighbors=10, novelty=True),
-        "hdbscan": DenseRegions(),
-        "gmm": BestGaussianMixture(random_state=seed),
         "pca": PrincipalComponents(),
         "z_3": LargestZ(3),
         "z_10": LargestZ(10),

@@ -6,8 +6,6 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.cluster.hierarchy import fcluster, linkage
-from scipy.spatial.distance import pdist
 
 from oracle_pipeline.bootstrap import DistinctRuns, distinct_runs, lacking
 from oracle_pipeline.clustering.grid_settings import Metric, in_metric
@@ -97,32 +95,23 @@ def in_best_cluster(
     return np.asarray(clusters == np.argmax(considered), dtype=np.bool_)
 
 
-def grow_over_runs(
+def grow_over_rows(
     rows: pd.DataFrame,
     columns: Sequence[str],
     method: Linkage,
     variant: MethodVariant = CORRECTED,
     metric: Metric = "euclidean",
 ) -> Tree:
-    """Agglomerate rows; the tree's leaves are their distinct runs, in the order of `distinct_runs`.
+    """Agglomerate rows by the columns and the matrix of a variant.
 
     Raises
     ------
     ClusteringError
-        Fewer than two distinct runs, or no feature with a finite value.
+        Fewer than two distinct runs, too many rows, or no feature with a finite value.
     """
-    runs = distinct_runs(rows)
-    X = in_metric(variant.matrix(rows, columns)[runs.first], metric)
-    return grow_tree(X, method, runs.copies)
-
-
-def _numbered_by_rows(X: NDArray[np.float64], method: Linkage, t: float) -> NDArray[np.int32]:
-    """Cut the tree of all rows, copies included, at a distance, and return the cluster of each row.
-
-    The clusters are those of the distinct runs, but their numbers depend on the order of the rows
-    and on the layout of SciPy's tree.
-    """
-    return fcluster(linkage(pdist(X), method), t, criterion="distance").astype(np.int32)
+    if len(distinct_runs(rows)) < 2:
+        raise ClusteringError("Copies of one run have no clusters; at least two runs are needed.")
+    return grow_tree(in_metric(variant.matrix(rows, columns), metric), method)
 
 
 def cluster_and_judge(
@@ -150,20 +139,17 @@ def cluster_and_judge(
     variant : MethodVariant
         Selects the columns and how the best cluster is found.
     metric : {"euclidean", "cosine", "correlation"}
-        Distance metric. The thesis's numbering of clusters is always euclidean.
+        Distance metric.
     """
     runs = distinct_runs(rows)
     try:
-        tree = grow_over_runs(rows, columns, method, variant, metric)
+        tree = grow_over_rows(rows, columns, method, variant, metric)
     except ClusteringError as error:
         return ClusteringResult(rows=len(rows), runs=len(runs), note=str(error))
-    clusters = tree.cut(criterion, t)
-    flagged = outside_largest(clusters, runs.copies)
-    if variant.first_clusters_only and criterion == "distance":
-        numbered = _numbered_by_rows(variant.matrix(rows, columns), method, t)[runs.first]
-        best = in_best_cluster(numbered, runs, inspected=int(t))
-    else:
-        best = in_best_cluster(clusters, runs)
+    of_rows = tree.cut(criterion, t)
+    clusters, flagged = of_rows[runs.first], outside_largest(of_rows)[runs.first]
+    numbered_to_t = variant.first_clusters_only and criterion == "distance"
+    best = in_best_cluster(clusters, runs, inspected=int(t) if numbered_to_t else None)
     counts = confusion(flagged, runs)
     counts_best = confusion(best, replace(runs, copies=np.ones_like(runs.copies)))
     return ClusteringResult(
@@ -180,7 +166,7 @@ def cluster_and_judge(
         mcc=counts.mcc,
         accuracy=(counts.tp + counts.tn) / len(rows),
         f1=2.0 * counts.tp / max(1, 2 * counts.tp + counts.fp + counts.fn),
-        auc=auc(hac_height(tree), runs, rng),
+        auc=auc(hac_height(tree)[runs.first], runs, rng),
         recall_best_cluster=true_positive_rate(best, runs),
         fpr_best_cluster=false_positive_rate(best, runs),
         balanced_accuracy_best_cluster=auc(best.astype(np.float64), runs, rng),

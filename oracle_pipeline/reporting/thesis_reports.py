@@ -14,7 +14,7 @@ from oracle_pipeline.clustering.grid_settings import GridSettings, Measure
 from oracle_pipeline.clustering.scores import hac_height
 from oracle_pipeline.clustering.tree import ClusteringError
 from oracle_pipeline.datasets import DatasetError, content_hash, is_malicious
-from oracle_pipeline.evaluation.clustering_result import grow_over_runs
+from oracle_pipeline.evaluation.clustering_result import grow_over_rows
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.metrics import RocCurve, auc, roc_curve
 from oracle_pipeline.evaluation.variants import VARIANTS, MethodVariant, VariantName
@@ -95,12 +95,12 @@ def clustering_grid_search(
     runs = distinct_runs(rows)
     for method in grid.linkages:
         try:
-            tree = grow_over_runs(rows, by.columns(rows, "all"), method, by)
+            tree = grow_over_rows(rows, by.columns(rows, "all"), method, by)
         except ClusteringError:
             continue  # its rows in the table give the reason
-        pictures[f"dendrogram_{method}"] = charts.dendrogram(tree, _labels(rows))
+        pictures[f"dendrogram_{method}"] = charts.dendrogram(tree, list(rows["label"]))
         if not lacking(rows):
-            height = hac_height(tree)
+            height = hac_height(tree)[runs.first]
             curves[method] = (roc_curve(height, runs, rng), auc(height, runs, rng))
     if curves:
         pictures["roc"] = charts.roc_curves(curves)
@@ -116,11 +116,6 @@ def _selected(table: pd.DataFrame, measure: Measure) -> dict[str, float | int | 
     best = table.iloc[int(table[measure].argmax())]
     setting = f"{best['linkage']}, {best['metric']}, {best['criterion']} {best['t']:g}"
     return {"selected_by": measure, "selected": setting, "selected_value": float(best[measure])}
-
-
-def _labels(rows: pd.DataFrame) -> list[str]:
-    """Return the labels of the distinct runs."""
-    return list(rows["label"].iloc[distinct_runs(rows).first])
 
 
 def _thesis_choice(table: pd.DataFrame) -> dict[str, float | int | str]:
@@ -205,10 +200,10 @@ def _pair_dendrograms(df: pd.DataFrame, drawn: Bootstraps) -> dict[str, bytes]:
         pair = df[df["mode"].isin([control, attacked])]
         try:
             rows, method = drawn.rows(pair), drawn.method
-            tree = grow_over_runs(rows, method.columns(rows, "all"), "ward", method)
+            tree = grow_over_rows(rows, method.columns(rows, "all"), "ward", method)
         except (ClusteringError, DatasetError):
             continue  # its row in the table gives the reason
-        pictures[f"dendrogram_{attacked}"] = charts.dendrogram(tree, _labels(rows))
+        pictures[f"dendrogram_{attacked}"] = charts.dendrogram(tree, list(rows["label"]))
     return pictures
 
 

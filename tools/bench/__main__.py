@@ -5,7 +5,6 @@ import gc
 
 from tools.bench import (
     campaign,
-    clustering,
     compare,
     engines,
     features,
@@ -24,7 +23,6 @@ BENCHMARKS = {
     "scenarios": scenarios.rows,
     "navigation": navigation.rows,
     "features": features.rows,
-    "clustering": clustering.rows,
     "compare": compare.rows,
     "engines": engines.rows,
     "storage": storage.rows,

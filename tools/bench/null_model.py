@@ -12,7 +12,7 @@ import pandas as pd
 
 from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bootstrap import distinct_runs
-from oracle_pipeline.evaluation.clustering_result import grow_over_runs, in_best_cluster
+from oracle_pipeline.evaluation.clustering_result import grow_over_rows, in_best_cluster
 from oracle_pipeline.evaluation.metrics import BAND, confusion
 from oracle_pipeline.evaluation.variants import THESIS
 from oracle_pipeline.features.traffic.thesis_features import VECTOR
@@ -75,7 +75,7 @@ def best_cluster_rates(
     for rng in np.random.default_rng(seed).spawn(repetitions):
         rows = THESIS.draw(label_free_runs(p_long, rng), n, malicious_rate, 50)
         runs = distinct_runs(rows)
-        clusters = grow_over_runs(rows, VECTOR, "ward", THESIS).cut("maxclust", 2.0)
+        clusters = grow_over_rows(rows, VECTOR, "ward", THESIS).cut("maxclust", 2.0)[runs.first]
         counts = confusion(in_best_cluster(clusters, runs), runs)
         auc = (counts.tpr + 1.0 - counts.fpr) / 2.0
         table.append({"recall": counts.tpr, "fpr": counts.fpr, "auc": auc})

@@ -9,11 +9,8 @@ import importlib
 import tempfile
 from pathlib import Path
 
-import numpy as np
-
 from assets.worker.feature_tables import require_tables
 from oracle_pipeline.bags.run_directory import RunDirectory
-from oracle_pipeline.clustering.tree import grow_tree, trees_with
 from sim.campaigns import Campaign
 from sim.experiments import recipe_for, record_run
 
@@ -22,18 +19,13 @@ COMMANDS = ("oracle_pipeline.definitions", "dagster._cli", "dagster_webserver.cl
 
 
 def main() -> None:
-    """Record a short run, extract its features, cluster a few rows, and import Dagster."""
+    """Record a short run, extract its features, and import Dagster."""
     with tempfile.TemporaryDirectory(prefix="oracle-") as root:
         run = RunDirectory(Path(root), MODE, 0)
         progress("Compiling the simulator (about half a minute, once) ...")
         record_run(recipe_for(MODE, run.run, Campaign(goals_per_run=1)), run)
         progress("Compiling the features (about half a minute, once) ...")
         require_tables(run)
-    progress("Compiling the clustering ...")
-    rows = np.random.default_rng(0).normal(size=(8, 2))
-    for linkage in ("ward", "single", "complete", "average"):
-        grow_tree(rows, linkage)
-    list(trees_with(rows, rows[:1], "average"))
     for module in COMMANDS:
         importlib.import_module(module)
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oracle_pipeline.clustering.scores import hac_height, outside_largest, small_cluster_score
+from oracle_pipeline.clustering.scores import hac_height, outside_largest
 from oracle_pipeline.clustering.tree import LINKAGES, ClusteringError, Tree, grow_tree
 
 
@@ -44,7 +44,7 @@ def test_a_chain_of_ten_thousand_runs_needs_no_recursion():
     n = 10_000
     nodes = np.r_[0, n + np.arange(n - 2)]
     merges = np.c_[nodes, np.arange(1, n), np.arange(1.0, n), np.arange(2, n + 1)]
-    height = hac_height(Tree("single", merges, np.ones(n, dtype=np.int64)))
+    height = hac_height(Tree("single", merges))
     assert height[0] == n / 2 - 1
     assert height[-1] == n - 1
 
@@ -53,13 +53,6 @@ def test_a_reference_without_runs_is_an_error():
     tree = grow_tree(np.eye(3))
     with pytest.raises(ClusteringError, match="No row is marked as reference"):
         hac_height(tree, np.zeros(3, dtype=bool))
-
-
-@given(trees(), st.floats(0.0, 1.0))
-def test_small_cluster_score_is_one_minus_the_share_of_the_runs_cluster(tree, kappa):
-    clusters = tree.cut("maxclust", max(1, round(kappa * len(tree))))
-    shares = [(clusters == own).sum() / len(tree) for own in clusters]
-    assert np.allclose(small_cluster_score(tree, kappa), 1.0 - np.array(shares))
 
 
 @given(st.lists(st.integers(1, 4), min_size=1, max_size=20))

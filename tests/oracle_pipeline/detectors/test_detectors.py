@@ -2,22 +2,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.detectors import DetectorError
-from oracle_pipeline.detectors.clusters import (
-    DenseRegions,
-    HacHeight,
-    ReferenceDistance,
-    SmallCluster,
-)
+from oracle_pipeline.detectors.clusters import HacHeight
 from oracle_pipeline.detectors.distances import LargestZ, Mahalanobis, NearestRuns
-from oracle_pipeline.detectors.guarded import (
-    AmpleEllipticEnvelope,
-    BestGaussianMixture,
-    DistinctLocalOutlierFactor,
-)
+from oracle_pipeline.detectors.guarded import AmpleEllipticEnvelope, DistinctLocalOutlierFactor
 
 LINE = np.array([[0.0], [1.0], [2.0], [3.0]])
 
@@ -58,42 +49,6 @@ def test_hac_height_is_where_the_run_joins_half_of_the_normal_ones():
     assert HacHeight().fit(LINE).score_samples([[9.0]]) == pytest.approx([-7.5])
 
 
-def test_both_readings_of_kappa_detect_the_isolated_run():
-    lone = [[9.0]]
-    # Five rows: two clusters, {0, 1, 2, 3} and {9}.
-    count = SmallCluster(kappa=0.4, reading="count").fit(LINE).score_samples(lone)
-    assert count == pytest.approx([-(1 - 1 / 5)])
-    # A cluster of two is small; alone until height 7.5, then with all others.
-    size = SmallCluster(kappa=0.4, reading="size").fit(LINE).score_samples(lone)
-    assert size == pytest.approx([-7.5])
-
-
-@settings(max_examples=30)
-@given(st.integers(0, 2**32), st.integers(2, 11), st.sampled_from(["single", "average"]))
-def test_the_size_reading_at_one_half_is_the_hac_height(seed, n, linkage):
-    rng = np.random.default_rng(seed)
-    right, row = rng.normal(size=(n, 2)), rng.normal(scale=3.0, size=(1, 2))
-    size = SmallCluster(kappa=0.5, reading="size", linkage=linkage).fit(right).score_samples(row)
-    height = HacHeight(linkage).fit(right).score_samples(row)
-    assert size == pytest.approx(height)
-
-
-def test_reference_distance_is_in_spreads_of_the_nearest_large_cluster():
-    rng = np.random.default_rng(0)
-    tight, wide = rng.normal(size=(50, 1)), 100.0 + 5.0 * rng.normal(size=(50, 1))
-    detector = ReferenceDistance(n_clusters=2).fit(np.vstack([tight, wide]))
-    assert sorted(detector.centroids_[:, 0]) == pytest.approx([0.0, 100.0], abs=2.0)
-    near_tight, near_wide = detector.score_samples([[10.0], [110.0]])
-    assert near_tight < 2 * near_wide < 0.0
-
-
-def test_an_isolated_training_run_is_not_a_cluster():
-    X = np.vstack([normal_runs(), [[40.0, 40.0, 40.0]]])
-    for detector in (ReferenceDistance(), DenseRegions()):
-        beside, among = detector.fit(X).score_samples([[40.0, 40.0, 41.0], [0.0, 0.0, 0.0]])
-        assert beside < 10 * among
-
-
 def test_copies_of_a_run_do_not_distort_the_local_outlier_factor():
     X = normal_runs(n=40)
     with_copies = np.repeat(X, 30, axis=0)
@@ -106,22 +61,11 @@ def test_copies_of_a_run_do_not_distort_the_local_outlier_factor():
     assert copied[3] < 2 * copied[:3].min()
 
 
-def test_the_mixture_has_the_number_of_components_with_the_lowest_bic():
-    rng = np.random.default_rng(0)
-    one, two = (
-        rng.normal(size=(80, 2)),
-        rng.normal(size=(80, 2)) + np.repeat([0.0, 20.0], 40)[:, None],
-    )
-    assert BestGaussianMixture(random_state=0).fit(one).mixture_.n_components == 1
-    assert BestGaussianMixture(random_state=0).fit(two).mixture_.n_components == 2
-
-
 @pytest.mark.parametrize(
     ("detector", "rows", "text"),
     [
         (NearestRuns(n_neighbors=5), normal_runs(n=4), "4 runs are too few for 5 neighbours"),
         (LargestZ(), normal_runs(n=1), "at least two"),
-        (DenseRegions(), normal_runs(n=4), "cannot form a cluster of 5"),
         (DistinctLocalOutlierFactor(novelty=True), np.repeat(normal_runs(n=20), 9, axis=0),
          "more than 20 distinct runs, there are 20"),
         (AmpleEllipticEnvelope(), normal_runs(n=15), "more than 15 runs, there are 15"),
