@@ -19,6 +19,7 @@ from oracle_pipeline.features.geometry.planar_pose import PlanarPose
 from oracle_pipeline.features.geometry.scan_matching import Steps, along_arc, steps
 from oracle_pipeline.features.geometry.scanner_setup import SETUP_TOPICS, ScannerSetup
 from oracle_pipeline.features.geometry.scans import SCANS, Floats, Points
+from oracle_pipeline.features.geometry.wgs84 import Site, cartesian
 from oracle_pipeline.features.statistics.times import even_spans
 from oracle_pipeline.robots import roles
 from oracle_pipeline.robots.roles import IMU, TRANSFORMS
@@ -27,7 +28,7 @@ FramePairs: TypeAlias = tuple[tuple[str, str], ...]  # parent and child of each 
 
 #: What a source measures, and how: kinds of tracks.
 POSE, TWIST, GYRO, ORIENTATION = "pose", "twist", "gyro", "orientation"
-JOINTS, SCAN, COMMAND = "joints", "scan", "command"
+JOINTS, SCAN, COMMAND, PLACE = "joints", "scan", "command", "place"
 ANGLES, RATES = "angles", "rates"  # of joints: their positions and their velocities
 
 TRAVEL, TURN, SPIN = "travel", "turn", "spin"  # quantities: [m], [rad], and [rad] of joints
@@ -83,6 +84,9 @@ def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> 
     driven, inertial = topics["driven"], topics["inertial"]
     poses = [_posed(topic, series) for topic, series in _long(driven)]
     poses = poses or list(_transformed(topics["transforms"]))
+    places = list(_places(topics, poses))
+    others = [*(places if poses else ()), *_fixes(topics["fixes"])]
+    poses = poses or places
     mounts = {
         topic: setup.tree.mount(series.values[0])
         for topic, series in topics["inertial_frames"].items()
@@ -99,6 +103,7 @@ def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> 
     )
     tracks: dict[str, list[Motion]] = {
         POSE: poses,
+        PLACE: others,
         TWIST: [_twisted(topic, series) for topic, series in _long(driven)],
         GYRO: gyros,
         ORIENTATION: [_oriented(*unit) for unit in units if _has_orientation(unit[1])],
@@ -135,6 +140,21 @@ def _keep_driven(messages: Any) -> tuple[Floats, ...]:
         header_stamps_s(messages), *poses_of(messages.pose.pose),
         twist.linear.x, twist.linear.y, twist.angular.z,
     )  # fmt: skip
+
+
+def _keep_place(messages: Any) -> tuple[Floats, ...]:
+    """Return stamp and pose of ``PoseStamped``s."""
+    return header_stamps_s(messages), *poses_of(messages.pose)
+
+
+def _keep_bare_place(messages: Any) -> tuple[Floats, ...]:
+    """Return no stamp, and the pose of ``Pose``s."""
+    return np.zeros(len(messages)), *poses_of(messages)
+
+
+def _keep_fix(messages: Any) -> tuple[Floats, ...]:
+    """Return stamp, latitude and longitude [deg] of ``NavSatFix``es."""
+    return header_stamps_s(messages), messages.latitude, messages.longitude
 
 
 def _keep_inertial(messages: Any) -> tuple[Floats, ...]:
@@ -192,6 +212,13 @@ MOVING = Request(keep_transforms, role=TRANSFORMS, dtype=object, optional=True, 
 MOTION_TOPICS = SETUP_TOPICS | {
     "scans": replace(SCANS, optional=True),
     "driven": Request(_keep_driven, msgtype="nav_msgs/msg/Odometry", optional=True, many=True),
+    "places": Request(
+        _keep_place, msgtype="geometry_msgs/msg/PoseStamped", optional=True, many=True
+    ),
+    "bare_places": Request(
+        _keep_bare_place, msgtype="geometry_msgs/msg/Pose", optional=True, many=True
+    ),
+    "fixes": Request(_keep_fix, msgtype="sensor_msgs/msg/NavSatFix", optional=True, many=True),
     "inertial": Request(_keep_inertial, role=IMU, every_s=_SAMPLED_S, optional=True, many=True),
     "inertial_frames": Request(_keep_frame, role=IMU, every_s=1e4, dtype=object, optional=True),
     "joints": Request(
@@ -331,6 +358,44 @@ def _posed(topic: str, series: Series) -> Motion:
     rows = np.argsort(series.values[:, 0], kind="stable")
     stamps_s, x, y, yaw = series.values[rows, :4].T
     return _of_poses(topic, series.times_s[rows], stamps_s, x + 1j * y, np.unwrap(yaw))
+
+
+def _places(
+    topics: Mapping[str, Mapping[str, Series]], clocks: Sequence[Motion]
+) -> Iterator[Motion]:
+    """Yield the motion by told poses; those that are told seldom are goals, perhaps.
+
+    Poses without stamps get those of a clock's track.
+    """
+    for topic, (times_s, values) in _known({**topics["places"], **topics["bare_places"]}):
+        if float(np.median(np.diff(times_s))) > SPAN_S:
+            continue
+        stamps_s = values[:, 0]
+        if not (np.diff(stamps_s) > 0.0).any():
+            stamps_s = times_s
+            if clocks:
+                stamps_s = np.interp(times_s, clocks[0].times_s, clocks[0].stamps_s)
+        rows = np.argsort(stamps_s, kind="stable")
+        _, x, y, yaw = values[rows].T
+        yield _of_poses(topic, times_s[rows], stamps_s[rows], x + 1j * y, np.unwrap(yaw))
+
+
+def _fixes(topics: Mapping[str, Series]) -> Iterator[Motion]:
+    """Yield the distance by satellites, which tell no heading."""
+    for topic, (times_s, values) in _known(topics):
+        rows = np.argsort(values[:, 0], kind="stable")
+        stamps_s, latitude, longitude = values[rows].T
+        place, _ = Site(latitude[0], longitude[0]).seen(cartesian(latitude, longitude, 0.0))
+        along = np.cumsum(np.abs(np.diff(place, prepend=place[:1])))
+        yield Motion(topic, times_s[rows], stamps_s, {TRAVEL: _complex(along)})
+
+
+def _known(topics: Mapping[str, Series]) -> Iterator[tuple[str, Series]]:
+    """Yield the messages with a place, of topics with at least two."""
+    for topic, (times_s, values) in topics.items():
+        finite = np.isfinite(values).all(axis=1)
+        if finite.sum() > 1:
+            yield topic, Series(times_s[finite], values[finite])
 
 
 def _of_poses(topic: str, times_s: Floats, stamps_s: Floats, place: Points, yaw: Floats) -> Motion:

@@ -36,6 +36,7 @@ from oracle_pipeline.features.motion.ego_motion import (
     JOINTS,
     MOTION_TOPICS,
     ORIENTATION,
+    PLACE,
     POSE,
     RATES,
     SCAN,
@@ -101,11 +102,13 @@ PAIRS = (
     Pair(TURN, GYRO, JOINTS),
     Pair(TURN, POSE, SCAN),
     Pair(TURN, GYRO, SCAN),
+    Pair(TURN, PLACE, POSE),
     Pair(TURN, COMMAND, POSE),
     Pair(TRAVEL, POSE, TWIST),
     Pair(TRAVEL, POSE, JOINTS),
     Pair(TRAVEL, POSE, SCAN),
     Pair(TRAVEL, JOINTS, SCAN),
+    Pair(TRAVEL, PLACE, POSE),
     Pair(TRAVEL, COMMAND, POSE),
     Pair(SPIN, ANGLES, RATES),
 )
@@ -121,7 +124,7 @@ _OUTLYING = 4.0  # robust deviations; spans beyond are left out of the fit of sc
 
 def _features() -> Iterator[Feature]:
     for pair in PAIRS:
-        loose = COMMAND in pair
+        loose = COMMAND in pair or PLACE in pair
         floor = 5e-3 if loose or SCAN in pair else 2e-3
         what = f"{pair.quantity} from {pair.second} relative to {pair.first}"
         yield Feature(
@@ -199,7 +202,7 @@ def compute(window: Window) -> Values:
             why = Missing(f"no {pair.quantity} from both {pair.first} and {pair.second}")
             values |= {pair.column(statistic): why for statistic in pair.statistics}
             continue
-        if COMMAND in pair:
+        if COMMAND in pair or PLACE in pair:
             fits = _obeyed(fits)
         still = f"too little {pair.quantity} was measured in this window"
         for number, statistic in enumerate(pair.statistics):

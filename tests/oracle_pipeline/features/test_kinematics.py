@@ -52,7 +52,7 @@ def motion(time_s: float) -> tuple[complex, float]:
 def robot(
     *, odometry: float = 1.0, twist: float = 1.0, gyro: float = 1.0, wheels: float = 1.0,
     rates: float = 1.0, command: float = 1.0, push: float = 0.0, drift: float = 0.0,
-    late_s: float = 0.0, scan: float = 1.0, rotated_rays: int = 0,
+    late_s: float = 0.0, scan: float = 1.0, rotated_rays: int = 0, told: float = 1.0,
 ) -> list[tuple[float, str, Any]]:  # fmt: skip
     """Return all messages; one stream can be multiplied by a factor, or delayed."""
     vector = message_class("geometry_msgs/msg/Vector3")
@@ -81,6 +81,7 @@ def robot(
         joints = message_class("sensor_msgs/msg/JointState")(
             header(time_s, ""), ["left", "right"], angles, rates * spins / RADIUS_M, np.zeros(0)
         )
+        pose = odometry_message(time_s, told * place, yaw).pose.pose
         wanted, obeyed = (
             message_class("geometry_msgs/msg/Twist")(
                 vector(factor * speed, 0.0, 0.0), vector(0.0, 0.0, factor * rate)
@@ -90,8 +91,18 @@ def robot(
         recorded += [
             (time_s, "/odometry", reported), (time_s, "/inertia", inertial),
             (time_s, "/joints", joints), (time_s, "/wanted", wanted), (time_s, "/obeyed", obeyed),
+            (time_s, "/told", pose), (time_s, "/fix", fix_message(time_s, told * place)),
         ]  # fmt: skip
     return sorted(recorded, key=lambda each: each[0])
+
+
+def fix_message(time_s: float, place: complex) -> Any:
+    """Return what satellites tell of a place, at the equator."""
+    metre = np.degrees(1.0 / 6378137.0)
+    fix = message_class("sensor_msgs/msg/NavSatFix")
+    status = message_class("sensor_msgs/msg/NavSatStatus")(0, 1)
+    east, north = place.real * metre, place.imag * metre
+    return fix(header(time_s, "gps"), status, north, east, 0.0, np.zeros(9), 0)
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +150,12 @@ def test_the_radius_of_the_wheels_and_their_distance_are_estimated(honest):
 @pytest.mark.parametrize(
     ("altered", "larger", "smaller"),
     [
-        ("odometry", (), ("travel_scale_pose_twist", "travel_scale_pose_joints")),
+        (
+            "odometry",
+            ("travel_scale_place_pose",),
+            ("travel_scale_pose_twist", "travel_scale_pose_joints"),
+        ),
+        ("told", (), ("travel_scale_place_pose",)),
         ("twist", ("turn_scale_pose_twist", "travel_scale_pose_twist"), ()),
         ("gyro", ("turn_scale_pose_gyro",), ("turn_scale_gyro_orientation",)),
         ("wheels", ("travel_scale_pose_joints", "turn_scale_gyro_joints"), ()),
@@ -203,8 +219,24 @@ def test_a_tilted_imu_has_a_gravity_residual_only_without_its_orientation(tmp_pa
     assert values["gravity_residual"] == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.parametrize("source", ["/told", "/fix"])
+def test_slipping_wheels_tell_more_than_any_source_of_places(tmp_path, source):
+    kept = [m for m in robot(odometry=1.3, twist=1.3) if m[1] in ("/odometry", source)]
+    values, where, _ = extract(PLUGINS, kept, tmp_path)
+    assert values["travel_scale_place_pose"] == pytest.approx(np.log(1.3), abs=0.01)
+    assert where["travel_scale_place_pose"] == f"{source} against /odometry"
+    assert values["travel_scale_pose_twist"] == pytest.approx(0.0, abs=0.01)
+
+
+def test_places_stand_in_for_odometry(tmp_path):
+    kept = [m for m in robot(gyro=1.05) if m[1] in ("/told", "/inertia", "/tf_static")]
+    values, where, _ = extract(PLUGINS, kept, tmp_path)
+    assert values["turn_scale_pose_gyro"] == pytest.approx(np.log(1.05), abs=0.012)
+    assert where["turn_scale_pose_gyro"] == "/told against /inertia"
+
+
 def test_without_odometry_the_others_are_still_compared(tmp_path):
-    kept = [m for m in robot(gyro=1.05) if m[1] not in ("/odometry", "/odom")]
+    kept = [m for m in robot(gyro=1.05) if m[1] not in ("/odometry", "/odom", "/told")]
     values, _, missing = extract(PLUGINS, kept, tmp_path)
     assert values["turn_scale_gyro_scan"] == pytest.approx(-np.log(1.05), abs=0.012)
     assert np.isfinite(values["turn_scale_gyro_joints"])
