@@ -100,6 +100,7 @@ def judge_recording(
 ) -> Iterator[dg.AssetMaterialization | dg.AssetCheckEvaluation | dg.Output[None]]:
     """Judge the recording of the partition, and update the page on all recordings."""
     from assets.worker.arrival_verdict import judge_arrival
+    from oracle_pipeline.reporting.trend import trend
     from oracle_pipeline.scoring.isolation import Limits
 
     key = context.partition_key
@@ -124,10 +125,10 @@ def judge_recording(
         yield _materialized(FOREIGN_VERDICTS, arrival, _facts(judged.kept, store))
         target = latest_materialization(context.instance, FOREIGN_VERDICTS.key, key)
         yield _evaluation(judged.kept, target)
-        recordings = _write_page(store)
-    page = layout.foreign_page(store.path)
+        shown = _write_page(store)
+    page, scores = layout.foreign_page(store.path), trend(shown)
     context.log.info(
-        f"Verdict on {arrival.name}: {judged.kept.verdict.outcome}. All {recordings} verdicts "
+        f"Verdict on {arrival.name}: {judged.kept.verdict.outcome}. All {len(shown)} verdicts "
         f"are in {page}."
     )
     yield dg.AssetMaterialization(
@@ -135,7 +136,8 @@ def judge_recording(
         metadata={
             "path": dg.MetadataValue.path(str(page)),
             "url": dg.MetadataValue.url(f"{REPORT_PATH}/{page.name}"),
-            "recordings": recordings,
+            "recordings": len(shown),
+            **presentation.pictures({"trend": scores} if scores else {}),
         },
         tags={"dagster/code_version": str(FOREIGN_REPORT.code_version)},
     )
@@ -232,14 +234,14 @@ def _evaluation(kept: "KeptVerdict", target: dg.EventLogRecord | None) -> dg.Ass
     )
 
 
-def _write_page(store: RunStore) -> int:
-    """Write the page on all verdicts, and return their number."""
+def _write_page(store: RunStore) -> "list[KeptVerdict]":
+    """Write the page on all verdicts, and return these."""
     from oracle_pipeline.reporting.arrivals_page import arrivals_page
     from oracle_pipeline.reporting.html import write_page
     from oracle_pipeline.scoring.kept_verdicts import kept_verdicts
 
-    shown = None
+    shown: list[KeptVerdict] | None = None
     while shown != (now := kept_verdicts(store.path)):  # another run may have written meanwhile
         write_page(arrivals_page(now), layout.foreign_page(store.path))
         shown = now
-    return len(shown)
+    return shown

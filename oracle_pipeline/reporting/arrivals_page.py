@@ -1,4 +1,4 @@
-"""The page on recordings from the inbox: a verdict for each, with its evidence.
+"""The page on recordings from the inbox: a verdict for each, and the trend of scores.
 
 One self-contained HTML file beside the report, from ``templates/arrivals.html.j2``.
 """
@@ -9,11 +9,16 @@ from collections.abc import Sequence
 import pandas as pd
 
 from oracle_pipeline.reporting.tables import evidence_table, table
-from oracle_pipeline.reporting.templating import template
+from oracle_pipeline.reporting.templating import picture, template
+from oracle_pipeline.reporting.trend import trend
 from oracle_pipeline.scoring.kept_verdicts import KeptVerdict
 from oracle_pipeline.scoring.output import family_as_text
 from oracle_pipeline.scoring.verdict import Judgement
 
+CAPTION = (
+    "Scores night by night: 0 is the median of normal recordings, 1 their spread. Scores by "
+    "different cards do not compare."
+)
 _IN_WORDS: dict[Judgement, str] = {
     "anomalous": "anomalous",
     "breach": "breaks the contract",
@@ -39,8 +44,10 @@ def arrivals_page(verdicts: Sequence[KeptVerdict]) -> str:
             for kept in verdicts
         ]
     )
+    scores = trend(verdicts)
     return template("arrivals.html.j2").render(
         verdicts=verdicts,
+        trend=[picture("Scores by the time of judgement", CAPTION, scores)] if scores else [],
         listed=table("arrivals", listed, links=[f"#{kept.key}" for kept in verdicts]),
         summary=summary(verdicts),
         words=_IN_WORDS,
