@@ -15,6 +15,8 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +25,9 @@ from PIL import Image
 
 from assets.oracle_sim import main as oracle_sim
 from oracle_pipeline.cli import main as oracle
+from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.replay.scene import top_down
+from oracle_pipeline.replay.story import run_scene
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -30,6 +35,7 @@ if TYPE_CHECKING:
 IMAGES = Path(__file__).parent / "images"
 ROOT = Path("data/pictures")
 CONTROL, ATTACK = "lidar_passthrough_odom", "fake_object"
+TITLES = {CONTROL: "A normal patrol", ATTACK: "The same patrol, with an object that is not there"}
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 WINDOW = {"width": 1280, "height": 800}
 PORT, PATIENCE_S = 3977, 120
@@ -54,12 +60,11 @@ def run(group: object, *words: object) -> None:
 def draw_runs() -> None:
     """Draw the control beside the attack, and make a film of the attack."""
     pictures = []
-    for mode in (CONTROL, ATTACK):
+    for mode, title in TITLES.items():
         run(oracle_sim, "record", "-m", mode, "-n", 1, "--goals", 8, "--out", ROOT)
-        recorded = ROOT / "runs" / mode / "run000"
-        picture = ROOT / f"{mode}.png"
-        run(oracle, "replay", recorded, "-o", picture)
-        pictures.append(Image.open(picture).convert("RGBA"))
+        with open_run(ROOT / "runs" / mode / "run000") as recorded:
+            scene = replace(run_scene(recorded), title=title)
+        pictures.append(Image.open(BytesIO(top_down(scene))).convert("RGBA"))
     width, height = (max(sizes) for sizes in zip(*(each.size for each in pictures), strict=True))
     joined = Image.new("RGBA", (len(pictures) * width, height), "white")
     for place, each in enumerate(pictures):

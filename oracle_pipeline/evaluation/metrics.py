@@ -247,7 +247,8 @@ class RocCurve:
 def roc_curve(score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Generator) -> RocCurve:
     """Return the ROC curve of a score on a regular grid of false-positive rates.
 
-    Parameters are those of `auc`. The band comes from resampled blocks.
+    Parameters are those of `auc`. The band is, on each side, the wider of the Clopper-Pearson
+    interval on the malicious runs and the percentiles over resampled blocks.
 
     Raises
     ------
@@ -267,8 +268,14 @@ def roc_curve(score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Gen
         if true.sum() and false.sum():
             x, y = np.append(0.0, np.cumsum(false)), np.append(0.0, np.cumsum(true))
             curves.append(np.interp(grid, x / x[-1], y / y[-1]))
+    exact = [clopper_pearson(rate, int(scored.malicious.sum())) for rate in curves[0]]
     low, high = np.percentile(curves, BAND, axis=0)
-    return RocCurve(grid, curves[0], np.minimum(low, curves[0]), np.maximum(high, curves[0]))
+    return RocCurve(
+        grid,
+        curves[0],
+        np.minimum(low, [each.low for each in exact]),
+        np.maximum(high, [each.high for each in exact]),
+    )
 
 
 def _resampled(blocks: int, rng: np.random.Generator) -> NDArray[np.float64]:

@@ -226,6 +226,9 @@ def test_each_recording_gets_its_verdict_and_a_bad_one_does_not_block_others(
     assert "3 recordings: 1 anomalous, 1 could not be judged, 1 normal." in page
     assert "\x1b" not in page
     assert "contextual." in page
+    shown = watched.laboratory.figures("foreign_report")
+    assert shown["recordings"] == 3
+    assert shown["picture"].startswith("![](data:image/png;base64,")  # two of them have a score
 
 
 def test_too_few_normal_recordings_are_a_warning(watched: Watched, place: Path) -> None:
