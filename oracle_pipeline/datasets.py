@@ -118,8 +118,8 @@ def without_empty_families(df: pd.DataFrame) -> pd.DataFrame:
     """Return a table without families that have no value, such as those of another system."""
     columns = feature_columns(df)
     families = {column.split(".", 1)[0] for column in columns if df[column].notna().any()}
-    empty = [column for column in columns if column.split(".", 1)[0] not in families]
-    kept = df.drop(columns=empty).reset_index(drop=True)
+    empty = {column for column in columns if column.split(".", 1)[0] not in families}
+    kept = df[[column for column in df.columns if column not in empty]].reset_index(drop=True)
     kept.attrs["fields"] = Fields({c: f for c, f in field_metadata(df).items() if c not in empty})
     return kept
 
@@ -187,6 +187,7 @@ def _joined(
         )
     joined = joined[[*keys, *columns, WHERE, MISSING]]
     joined = joined.sort_values(order, kind="stable", ignore_index=True)
+    joined = joined.copy()  # in one piece: `astype` left thousands, each to be selected alone
     joined.attrs["fields"] = _joined_fields(parts)
     return joined
 

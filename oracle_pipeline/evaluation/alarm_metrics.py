@@ -27,11 +27,12 @@ def times_to_detect(
     since_s : ndarray of shape (n_runs,)
         When the attack began, or first changed a message [s of the recording].
     """
-    first = np.where(campaign.malicious, np.inf, np.nan)
+    attacked = campaign.malicious
+    first = np.where(attacked, np.inf, np.nan)
     for row, verdict in enumerate(judged.verdicts):
         alarms_s = [] if verdict is None else [alarm.time_s for alarm in verdict.alarms]
         late_s = [time_s - since_s[row] for time_s in alarms_s if time_s > since_s[row]]
-        if campaign.malicious[row] and late_s:
+        if attacked[row] and late_s:
             first[row] = min(late_s)
     return first
 

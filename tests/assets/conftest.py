@@ -25,6 +25,7 @@ FORKED = [
     "assets.worker.inspections",
     "oracle_pipeline.oracles.kept_traces",
     "oracle_pipeline.replay.picture",
+    "oracle_pipeline.scoring.card",
     "oracle_pipeline.scoring.isolation",
     "assets.search.closed_loop",
     "sim.atc.drawing",

@@ -16,6 +16,8 @@ pytestmark = pytest.mark.slow
 
 ACTION = yaml.safe_load((REPOSITORY / "action.yml").read_text("utf-8"))
 JOB = yaml.safe_load((REPOSITORY / "deploy/gitlab-ci.yml").read_text("utf-8"))[".behaviour"]
+COUNT = 4  # recordings of each build: as few as a comparison at LEVEL takes
+LEVEL = "0.2"
 GITHUB = {
     "github.server_url": "https://example.org",
     "github.repository": "team/robot",
@@ -28,7 +30,7 @@ GITHUB = {
 def workspace(recorded_run: RecordedRuns, normal_card: Path, tmp_path: Path) -> Path:
     """A checkout with recordings of a pull request and of its target; gh notes how it is called."""
     for folder, mode in (("main", "lidar_passthrough"), ("pr", "random_noise")):
-        for number in range(6):
+        for number in range(COUNT):
             linked(recorded_run(mode, number), tmp_path / folder)
     (tmp_path / "robot.card").symlink_to(normal_card)
     (tmp_path / "bin").mkdir()
@@ -66,15 +68,15 @@ def steps(folder: Path, **inputs: str) -> dict[str, subprocess.CompletedProcess[
 
 def test_a_changed_build_is_annotated_compared_and_commented_on(workspace: Path) -> None:
     given = {"recordings": "pr", "reference": "robot.card", "baseline": "main"}
-    done = steps(workspace, **given, far="0.25", level="0.05")
+    done = steps(workspace, **given, far="0.25", level=LEVEL)
     judged = done["Judge"]
     assert judged.returncode == 1, judged.stderr
     annotations = judged.stdout.splitlines()[:-1]
     assert annotations
     assert all(re.match("::error title=Behaviour::[A-Z ]+  pr/", each) for each in annotations)
-    assert "6 anomalous in" in (workspace / "summary.md").read_text("utf-8")
+    assert f"{COUNT} anomalous in" in (workspace / "summary.md").read_text("utf-8")
     results = workspace / "behaviour"
-    assert (results / "index.html").read_text("utf-8").count("<article>") == 6
+    assert (results / "index.html").read_text("utf-8").count("<article>") == COUNT
     assert (results / "badge.svg").is_file()
 
     assert done["Compare"].returncode == 1, done["Compare"].stderr
@@ -91,18 +93,19 @@ def test_without_reference_and_baseline_nothing_is_done_and_a_folder_is_learned_
     done = steps(workspace, recordings="pr")
     assert {each.returncode for each in done.values()} == {0}
     assert not list((workspace / "behaviour").iterdir())
-    learned = steps(workspace, recordings="main", reference="main", far="0.2")["Judge"]
+    one = "main/runs/lidar_passthrough/run000"
+    learned = steps(workspace, recordings=one, reference="main", far="0.25")["Judge"]
     assert (workspace / "behaviour/normal.card").is_file()
-    assert learned.returncode < 2, learned.stdout  # each has a verdict
+    assert learned.returncode < 2, learned.stdout  # it has a verdict
 
 
 def test_the_job_for_gitlab_leaves_the_same_files(workspace: Path) -> None:
     variables = {name: str(value) for name, value in JOB["variables"].items()}
     variables |= {"RECORDINGS": "pr", "REFERENCE": "robot.card", "BASELINE": "main"}
-    variables |= {"FAR": "0.25", "LEVEL": "0.05"}
+    variables |= {"FAR": "0.25", "LEVEL": LEVEL}
     make_folder = JOB["before_script"][1]
     done = run("\n".join([make_folder, *JOB["script"]]), workspace, variables)
     assert done.returncode == 1, done.stderr
-    assert "6 anomalous in" in done.stdout
+    assert f"{COUNT} anomalous in" in done.stdout
     names = {each.name for each in (workspace / "behaviour").iterdir()}
     assert names == {"verdicts.xml", "index.html", "badge.svg", "compare.xml", "comment.md"}

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 
+from oracle_pipeline.datasets import Fields
 from oracle_pipeline.windows import HOP_S, MIN_WINDOW_S, WINDOW_S
 
 MODES = {
@@ -68,7 +69,7 @@ def run_features(
                 }
             )
     table = pd.DataFrame(rows)
-    table.attrs["fields"] = FIELDS
+    table.attrs["fields"] = Fields(FIELDS)
     return table
 
 
@@ -102,7 +103,7 @@ def campaign(
         of_run = deviation * effect * malicious  # what the run's own value has of the attack
         noise = deviation * rng.normal(size=len(windows))
         windows[column] += noise - of_run + deviation * effect * attacked
-    windows.attrs["fields"] = {**FIELDS, "window_start_s": {"unit": "s"}}
+    windows.attrs["fields"] = Fields({**FIELDS, "window_start_s": {"unit": "s"}})
     truth = pd.DataFrame(
         {
             "run_id": features["run_id"],
