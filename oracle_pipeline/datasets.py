@@ -25,7 +25,7 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import LABELS
 from oracle_pipeline.bags.remote import is_local
 from oracle_pipeline.bags.scratch import scratch_beside
-from oracle_pipeline.signal_column import COLUMN, packed, unpacked
+from oracle_pipeline.signal_column import COLUMN, named, packed, unpacked
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -290,8 +290,9 @@ def table_bytes(df: pd.DataFrame) -> bytes:
     table = pa.Table.from_pandas(others, preserve_index=False).replace_schema_metadata(None)
     if signals:
         place = df.columns.tolist().index(signals[0])
-        column = packed(signals, fields, df[signals].to_numpy(dtype=np.float64))
+        column = packed(df[signals].to_numpy(dtype=np.float64))
         table = table.add_column(place, COLUMN, column)
+        fields |= {COLUMN: named(signals, fields)}
     schema = pa.schema([field.with_metadata(fields.get(field.name)) for field in table.schema])
     sealed = table.cast(schema).replace_schema_metadata({_SEAL: seals.BLANK})
     whole = io.BytesIO()
@@ -369,16 +370,16 @@ def parse_table(
         {
             field.name: {key.decode(): value.decode() for key, value in field.metadata.items()}
             for field in table.schema
-            if field.metadata
+            if field.metadata and field.name != COLUMN
         }
     )
     df: pd.DataFrame
     if COLUMN in table.column_names:
         place = table.column_names.index(COLUMN)
         try:
-            signals = unpacked(table[COLUMN].combine_chunks())
+            signals = unpacked(table[COLUMN].combine_chunks(), table.field(COLUMN).metadata)
         except ValueError as error:
-            raise DatasetError(f"{name} cannot be read: {error}.") from error
+            raise DatasetError(f"{name} cannot be read: {error}. Make it again.") from error
         others = table.drop_columns([COLUMN]).replace_schema_metadata(None).to_pandas()
         of_signals = pd.DataFrame(signals.values, columns=signals.names, index=others.index)
         parts = [others.iloc[:, :place], of_signals, others.iloc[:, place:]]

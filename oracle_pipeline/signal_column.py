@@ -1,12 +1,15 @@
-"""Signals on disk: one column of a table, in each row a list of name, declaration and value.
+"""Signals on disk: one column of a table, in each row the values in the order of its names.
 
 A recording has thousands of statistics of signals. As columns of their own, their names and
-declarations alone would take 3 MB in the footer of a table with one row.
+declarations alone would take 3 MB in the footer of a table with one row. They are the same for all
+rows, so the column's metadata hold them once, compressed.
 """
 
+import base64
 import json
+import zlib
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +18,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 COLUMN = "signals"
+_LARGEST_NAMES = 64 * 2**20  # bytes of names and declarations, decompressed
 
 
 class Unpacked(NamedTuple):
@@ -25,45 +29,44 @@ class Unpacked(NamedTuple):
     values: NDArray[np.float64]  # shape (n_rows, n_names)
 
 
-def packed(
-    names: Sequence[str], fields: Mapping[str, Mapping[str, str]], values: NDArray[np.float64]
-) -> "pa.ListArray":
-    """Return the signals of a table as one column.
-
-    Parameters
-    ----------
-    names : sequence of str
-    fields : mapping
-        Declarations of the columns, by name.
-    values : ndarray of shape (n_rows, n_names)
-    """
+def packed(values: NDArray[np.float64]) -> "pa.FixedSizeListArray":
+    """Return the signals of a table, an array of shape (n_rows, n_names), as one column."""
     import pyarrow as pa
 
-    rows = len(values)
-    place = pa.array(np.tile(np.arange(len(names)), rows))
-    about = [json.dumps(dict(fields.get(name, {}))) for name in names]
-    parts = [pa.array(list(names)).take(place), pa.array(about).take(place)]
-    structs = pa.StructArray.from_arrays(
-        [*parts, pa.array(np.ravel(values))], names=["name", "declaration", "value"]
-    )
-    ends = np.arange(rows + 1, dtype=np.int32) * len(names)
-    return pa.ListArray.from_arrays(pa.array(ends), structs)
+    return pa.FixedSizeListArray.from_arrays(pa.array(np.ravel(values)), values.shape[1])
 
 
-def unpacked(column: "pa.ListArray") -> Unpacked:
-    """Return the signals in a column of `packed`.
+def named(names: Sequence[str], fields: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+    """Return the metadata of the column: the names of its values, with their declarations."""
+    text = json.dumps({name: dict(fields.get(name, {})) for name in names})
+    return {COLUMN: base64.b64encode(zlib.compress(text.encode())).decode()}
+
+
+def unpacked(column: "pa.Array", metadata: Mapping[bytes, bytes] | None) -> Unpacked:
+    """Return the signals in a column of `packed`, with the metadata of `named`.
 
     Raises
     ------
     ValueError
-        Rows have different numbers of signals.
+        It has no names, or another number of values than names in some row.
     """
-    rows, flat = len(column), column.flatten()
-    count, rest = divmod(len(flat), max(rows, 1))
-    if rest or any(size != count for size in np.diff(column.offsets.to_numpy())):
+    about = (metadata or {}).get(COLUMN.encode())
+    if about is None:
+        raise ValueError("its signals have no names, as in tables of an older release")
+    fields = _declarations(about)
+    rows, values = len(column), column.flatten().to_numpy(zero_copy_only=False)
+    if len(values) != rows * len(fields) or set(column.value_lengths().to_pylist()) - {len(fields)}:
         raise ValueError("rows have different signals")
-    names = flat.field("name").slice(0, count).to_pylist()
-    about = flat.field("declaration").slice(0, count).to_pylist()
-    fields = {name: json.loads(text) for name, text in zip(names, about, strict=True)}
-    values = flat.field("value").to_numpy(zero_copy_only=False).reshape(rows, count)
-    return Unpacked(names, {name: field for name, field in fields.items() if field}, values)
+    return Unpacked(
+        list(fields),
+        {name: field for name, field in fields.items() if field},
+        values.astype(np.float64, copy=False).reshape(rows, len(fields)),
+    )
+
+
+def _declarations(blob: bytes) -> dict[str, dict[str, Any]]:
+    text = zlib.decompressobj().decompress(base64.b64decode(blob), _LARGEST_NAMES)
+    declared = json.loads(text)
+    if not isinstance(declared, dict) or not all(isinstance(f, dict) for f in declared.values()):
+        raise ValueError("the names of its signals are not an object")
+    return declared

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,7 +17,7 @@ from oracle_pipeline.datasets import (
     read_table,
     write_table,
 )
-from oracle_pipeline.signal_column import packed, unpacked
+from oracle_pipeline.signal_column import named, packed, unpacked
 
 NUMBERS = st.floats(allow_nan=True, allow_infinity=True, width=64)
 
@@ -24,7 +26,8 @@ NUMBERS = st.floats(allow_nan=True, allow_infinity=True, width=64)
 def test_what_is_packed_is_unpacked(values):
     names = [f"signals./topic/field[{n}].mean" for n in range(values.shape[1])]
     fields = {names[0]: {"unit": "m", "floor": "nan"}}
-    found = unpacked(packed(names, fields, values))
+    metadata = {k.encode(): v.encode() for k, v in named(names, fields).items()}
+    found = unpacked(packed(values), metadata)
     assert found.names == names
     assert found.fields == fields
     np.testing.assert_array_equal(found.values, values)
@@ -52,11 +55,27 @@ def test_thousands_of_signals_take_less_than_forty_bytes_each(tmp_path):
     assert (tmp_path / "t.parquet").stat().st_size < 3000 * 40
 
 
-def test_rows_with_different_signals_are_refused(tmp_path):
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+def test_names_are_stored_once_for_all_rows(tmp_path):
+    one, many = table(3000), pd.concat([table(3000)] * 50, ignore_index=True)
+    many.attrs["fields"] = one.attrs["fields"]
+    write_table(one, tmp_path / "one.parquet")
+    write_table(many, tmp_path / "many.parquet")
+    sizes = [(tmp_path / f"{name}.parquet").stat().st_size for name in ("one", "many")]
+    assert sizes[1] < 1.5 * sizes[0]  # equal values compress to nothing, and nothing else is added
 
-    one = {"name": "signals./a/b.mean", "declaration": "{}", "value": 1.0}
-    pq.write_table(pa.table({"signals": [[one], [one, one]]}), tmp_path / "t.parquet")
-    with pytest.raises(DatasetError, match="rows have different signals"):
+
+@pytest.mark.parametrize(
+    ("row", "names", "fault"),
+    [
+        ([[1.0], [1.0, 2.0]], ["signals./a/b.mean"], "rows have different signals"),
+        ([[1.0], None], ["signals./a/b.mean"], "rows have different signals"),
+        ([[1.0], [1.0]], ["a", "b"], "rows have different signals"),
+        ([[1.0], [1.0]], None, "no names, as in tables of an older release"),
+    ],
+)
+def test_signals_that_do_not_fit_their_names_are_refused(tmp_path, row, names, fault):
+    about = None if names is None else named(names, {})
+    schema = pa.schema([pa.field("signals", pa.list_(pa.float64()), metadata=about)])
+    pq.write_table(pa.table({"signals": row}, schema), tmp_path / "t.parquet")
+    with pytest.raises(DatasetError, match=fault):
         read_table(tmp_path / "t.parquet")
