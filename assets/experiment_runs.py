@@ -22,9 +22,11 @@ from assets.events import (
     latest_materialization,
     materializations,
 )
+from assets.partition_work import PartitionWork
 from assets.partitions import RUNS
 from assets.worker.versions import feature_code
 from oracle_pipeline.bags import layout
+from oracle_pipeline.bags.run_directory import RunDirectory
 from resources import startup_stderr
 from resources.budget import StorageBudget
 from resources.campaign import CampaignSettings
@@ -37,7 +39,6 @@ from sim.software import run_code
 from sim.testbeds import TESTBEDS
 
 if TYPE_CHECKING:
-    from assets.worker.reproduction import Reproduction
     from assets.worker.run_job import RunJob, RunReport
     from sim.experiments import RebuildResult
     from sim.fan_out import JobOutcome
@@ -158,33 +159,39 @@ def recorded_runs(
     specs = [spec for spec in SPECS if spec.key in context.selected_asset_keys]
     is_compared = REPRODUCIBLE.key in context.selected_asset_check_keys
     keys = {str(key): key for key in context.partition_keys}
-    jobs = [_job(key, specs, store, campaign, refresh=config.refresh) for key in keys]
+    partitions = {key: PartitionWork(key, store.runs(key)) for key in keys}
+    of_run = {run: partition for partition in partitions.values() for run in partition.runs}
+    jobs = [_job(run, specs, campaign, refresh=config.refresh) for run in of_run]
     jobs.sort(key=lambda job: job.directory.run)  # so that paired modes finish together
     store.require_writable()
 
     failed: dict[str, str] = {}
-    simulated, simulated_s, over, started = 0, 0.0, 0, time.monotonic()
+    simulated, simulated_s, open_partitions, started = 0, 0.0, len(keys), time.monotonic()
     with contextlib.ExitStack() as stack:
         stack.enter_context(contextlib.redirect_stderr(startup_stderr.stderr()))
         progress = stack.enter_context(RunProgress(len(jobs)))
         if config.refresh or not all(job.directory.is_complete() for job in jobs):
             stack.enter_context(budget.alone(store))
         for outcome in _outcomes(jobs, store, fleet, budget):
-            key = outcome.job.directory.key
-            over += bool(outcome.job.wanted)
+            run = outcome.job.directory
+            if outcome.result is not None and not outcome.job.wanted:
+                context.log_event(_shrunk(run.key, outcome.result))  # it only gave up storage
+                continue
+            partition = of_run.get(run)
             if outcome.result is None:
-                failed[key] = outcome.error or "no reason was given"
+                failed[run.key] = outcome.error or "no reason was given"
+            else:
+                progress.done(outcome.result.simulated_s)
+                simulated += outcome.result.simulated_s > 0.0
+                simulated_s += outcome.result.simulated_s
+            if partition is None or not partition.add(run, outcome.result):
                 continue
-            if not outcome.job.wanted:  # a finished run that only gave up storage
-                context.log_event(_shrunk(key, outcome.result))
-                continue
-            assets_of_run = _materialized(specs, store, outcome.result, last=over == len(jobs))
-            yield from materializations(context.instance, keys[key], assets_of_run)
-            if is_compared and (reproduction := outcome.result.reproduction):
-                yield _reproducible(context, store, key, reproduction)
-            progress.done(outcome.result.simulated_s)
-            simulated += outcome.result.simulated_s > 0.0
-            simulated_s += outcome.result.simulated_s
+            open_partitions -= 1
+            if partition.reports:
+                assets = _materialized(specs, store, partition, last=not open_partitions)
+                yield from materializations(context.instance, keys[partition.key], assets)
+                if is_compared and partition.reproductions:
+                    yield _reproducible(context, partition)
     context.log.info(
         f"{simulated} runs simulated ({in_words(simulated_s)} of the robot's time in "
         f"{in_words(time.monotonic() - started)}), {len(jobs) - simulated - len(failed)} verified, "
@@ -234,15 +241,16 @@ def _outcomes(
 
 
 def _materialized(
-    specs: Sequence[dg.AssetSpec], store: RunStore, report: "RunReport", *, last: bool
+    specs: Sequence[dg.AssetSpec], store: RunStore, partition: PartitionWork, *, last: bool
 ) -> Iterator[Materialized]:
-    """Yield the materializations of the assets of a run.
+    """Yield the materializations of the assets of a partition.
 
-    Only the tables of the step's last run have a column schema. The UI shows the newest event, and
-    60 kB for each table of each run would make the event log slow.
+    Only the tables of the step's last one have a column schema. The UI shows the newest event, and
+    60 kB for each table of each partition would make the event log slow.
     """
+    assets = partition.assets()
     for spec in specs:
-        made = report.assets[spec.key.to_user_string()]
+        made = assets[spec.key.to_user_string()]
         place = store.path / made.path
         figures = {**presentation.facts(made.figures), "path": dg.MetadataValue.path(str(place))}
         if last and place.suffix == ".parquet":
@@ -261,16 +269,23 @@ def _shrunk(key: str, report: "RunReport") -> dg.AssetObservation:
 
 
 def _reproducible(
-    context: dg.AssetExecutionContext, store: RunStore, key: str, reproduction: "Reproduction"
+    context: dg.AssetExecutionContext, partition: PartitionWork
 ) -> dg.AssetCheckEvaluation:
+    """Return the result of the partition: that of its first run with other messages, or of one."""
     from assets.worker.reproduction import refreshed_directory
 
+    reproductions = partition.reproductions
+    wrong = [run for run, of in reproductions.items() if of.comparison == "unexplained"]
+    run = wrong[0] if wrong else next(iter(reproductions))
+    reproduction = reproductions[run]
     facts: dict[str, dg.MetadataValue] = {
         "former_hash": dg.MetadataValue.text(reproduction.former_hash),
         "new_hash": dg.MetadataValue.text(reproduction.new_hash),
     }
-    if reproduction.comparison == "unexplained":
-        run = store.run(key)
+    if len(reproductions) > 1:
+        named = ", ".join(each.key for each in wrong)
+        facts |= presentation.facts({"runs": len(reproductions), "unexplained": named})
+    if wrong:
         facts |= {
             "former_path": dg.MetadataValue.path(str(run.path)),
             "new_path": dg.MetadataValue.path(str(refreshed_directory(run).path)),
@@ -278,18 +293,17 @@ def _reproducible(
         }
     return check_evaluation(
         REPRODUCIBLE,
-        key,
-        latest_materialization(context.instance, REPRODUCIBLE.asset_key, key),
-        passed=reproduction.comparison != "unexplained",
+        partition.key,
+        latest_materialization(context.instance, REPRODUCIBLE.asset_key, partition.key),
+        passed=not wrong,
         description=_DESCRIPTIONS[reproduction.comparison],
         metadata=facts,
     )
 
 
 def _job(
-    key: str,
+    run: RunDirectory,
     specs: Sequence[dg.AssetSpec],
-    store: RunStore,
     campaign: CampaignSettings,
     *,
     refresh: bool,
@@ -297,7 +311,7 @@ def _job(
     from assets.worker.run_job import RunJob
 
     return RunJob(
-        directory=store.run(key),
+        directory=run,
         campaign=campaign.campaign(),
         wanted=frozenset(spec.key.to_user_string() for spec in specs),
         refresh=refresh,

@@ -29,23 +29,20 @@ def feature_dataset(
     `windows.parquet` has one row for each window, and `truth.parquet` holds the ground truth of
     each run, which only the evaluation reads.
     """
+    from assets.worker.kept_tables import kept_tables, read_tables
     from oracle_pipeline import datasets
     from oracle_pipeline.evaluation.truth import truth_table
 
-    runs = [store.run(key) for key in RUNS.get_partition_keys()]
-    extracted = [run for run in runs if run.feature_table("run").is_file()]
+    runs = [run for key in RUNS.get_partition_keys() for run in store.runs(key)]
+    extracted = [run for run in runs if kept_tables(run)]
     with clear_failures():
         manifests = {run.key: run.manifest() for run in extracted if run.is_complete()}
         too_short = sorted(
             key for key, manifest in manifests.items() if not _node_started(manifest)
         )
         joined = [run for run in extracted if run.key not in too_short]
-        df = datasets.feature_dataset(
-            datasets.read_table(run.feature_table("run")) for run in joined
-        )
-        windows = datasets.window_dataset(
-            datasets.read_table(run.feature_table("window")) for run in joined
-        )
+        df = datasets.feature_dataset(read_tables(joined, "run"))
+        windows = datasets.window_dataset(read_tables(joined, "window"))
         datasets.write_table(df, store.dataset(DATASET))
         datasets.write_table(windows, store.dataset(WINDOWS))
         datasets.write_table(truth_table(manifests.values()), store.dataset(TRUTH))

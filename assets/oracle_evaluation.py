@@ -157,8 +157,9 @@ def _mutants(store: RunStore, fleet: Fleet) -> "MeasuredRuns | None":
     """Return features and windows of the runs of all grids, with the changes of each run."""
     import pandas as pd
 
+    from assets.worker.kept_tables import read_tables
     from oracle_pipeline.datasets import feature_dataset as joined
-    from oracle_pipeline.datasets import read_table, window_dataset
+    from oracle_pipeline.datasets import window_dataset
     from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
     runs_of_grids, windows_of_grids = [], []
@@ -167,10 +168,10 @@ def _mutants(store: RunStore, fleet: Fleet) -> "MeasuredRuns | None":
             mutants = pd.read_json(source)
         runs = [RunDirectory.of_key(index.parent, key) for key in mutants["run_id"]]
         _require_features(runs, fleet)
-        df = joined(read_table(run.feature_table("run")) for run in runs)
+        df = joined(read_tables(runs, "run"))
         changes = mutants[["run_id", "scenario", "parameter", "value", "changed_messages"]]
         df = df.merge(changes, on="run_id", validate="one_to_one")
-        windows = window_dataset(read_table(run.feature_table("window")) for run in runs)
+        windows = window_dataset(read_tables(runs, "window"))
         grid = f"{index.parent.name}/"  # two grids may have runs of the same name
         runs_of_grids.append(df.assign(run_id=grid + df["run_id"]))
         windows_of_grids.append(windows.assign(run_id=grid + windows["run_id"]))

@@ -1,8 +1,10 @@
 """The one partitions definition: every run of every experiment mode.
 
-A key looks like ``fake_object|run003``. Run numbers are static, so that a new number appears in
-every mode at once. Their count, the selected modes, and the user's scenario files are read when the
-code location loads. An invalid scenario file is logged and left out.
+A key looks like ``fake_object|run003``. In a large campaign a partition holds several runs, and its
+key reads ``fake_object|run000-249``: Dagster's cost grows with partitions, ours with runs. Numbers
+are static, so that a new one appears in every mode at once. Counts, the selected modes, and the
+user's scenario files are read when the code location loads. An invalid scenario file is logged and
+left out.
 
 There is one definition for all testbeds, because Dagster rejects commands over assets with
 different partitions, and ``--select '*'`` should mean the whole campaign.
@@ -15,6 +17,7 @@ from fnmatch import fnmatchcase
 import dagster as dg
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.protocol import runs_name
 from sim.modes import broken_scenarios, modes
 from sim.testbeds import TESTBEDS, which_testbed
 
@@ -33,11 +36,24 @@ def run_count(environment: Mapping[str, str]) -> int:
     ConfigurationError
         If it is not a positive integer.
     """
-    text = environment.get("ORACLE_RUNS") or "15"
+    return _positive(environment, "ORACLE_RUNS", 15, "the number of runs of each mode")
+
+
+def runs_per_partition(environment: Mapping[str, str]) -> int:
+    """Return the number of runs in a partition: ``ORACLE_RUNS_PER_PARTITION``, or 1.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is not a positive integer.
+    """
+    return _positive(environment, "ORACLE_RUNS_PER_PARTITION", 1, "the runs of a partition")
+
+
+def _positive(environment: Mapping[str, str], name: str, default: int, meaning: str) -> int:
+    text = environment.get(name) or str(default)
     if not text.isdecimal() or int(text) < 1:
-        raise ConfigurationError(
-            f"ORACLE_RUNS is {text!r}; give the number of runs of each mode, 1 or more."
-        )
+        raise ConfigurationError(f"{name} is {text!r}; give {meaning}, 1 or more.")
     return int(text)
 
 
@@ -71,16 +87,21 @@ def _is_named(mode: str, part: str) -> bool:
     return fnmatchcase(mode, part) or testbed_of(mode) == part
 
 
-def runs_of_modes(wanted: Sequence[str], count: int) -> dg.MultiPartitionsDefinition:
-    """Return ``count`` runs of each of some modes."""
+def runs_of_modes(
+    wanted: Sequence[str], count: int, together: int = 1
+) -> dg.MultiPartitionsDefinition:
+    """Return ``count`` runs of each of some modes, so many together in a partition."""
+    numbers = [range(first, min(first + together, count)) for first in range(0, count, together)]
     return dg.MultiPartitionsDefinition(
         {
             "mode": dg.StaticPartitionsDefinition(wanted),
-            "run": dg.StaticPartitionsDefinition([f"run{run:03d}" for run in range(count)]),
+            "run": dg.StaticPartitionsDefinition([runs_name(runs) for runs in numbers]),
         }
     )
 
 
-RUNS = runs_of_modes(chosen_modes(os.environ), run_count(os.environ))
+RUNS = runs_of_modes(
+    chosen_modes(os.environ), run_count(os.environ), runs_per_partition(os.environ)
+)
 for broken in broken_scenarios():
     dg.get_dagster_logger().warning(f"Left out: {broken}")

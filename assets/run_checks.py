@@ -1,10 +1,11 @@
 """Checks of every run, performed whenever the run is materialized.
 
-One step performs all selected checks on the fleet, with a separate result for each run. A failed
-check is an error to investigate, but does not block any asset.
+One step performs all selected checks on the fleet, with a separate result for each partition. A
+failed check is an error to investigate, but does not block any asset.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import dagster as dg
 
@@ -15,9 +16,13 @@ from oracle_pipeline.bags.run_directory import RunDirectory
 from resources.fleet import Fleet
 from resources.store import RunStore
 
+if TYPE_CHECKING:
+    from assets.worker.inspections import Inspection, InspectionResult
+
 SHOWN = 10  # faults named in the description of a result
 
 PAIR_CHECK = "graphs_of_a_pair_are_equal"
+OF_TABLES = ("window_features_are_finite", "run_features_are_finite")  # joined for a partition
 CHECKS = (
     dg.AssetCheckSpec(
         "bag_is_complete",
@@ -63,43 +68,61 @@ def checks_of_runs(
     from assets.worker.inspections import Inspection, InspectionResult, inspect
 
     specs = {spec.name: spec for spec in CHECKS if spec.key in context.selected_asset_check_keys}
-    runs = {key: store.run(key) for key in context.op_execution_context.partition_keys}
+    partitions = {key: store.runs(key) for key in context.op_execution_context.partition_keys}
     inspections = [
-        Inspection(name, subject)
-        for name in specs
-        for subject in (
-            complete_pairs(runs.values())
-            if name == PAIR_CHECK
-            else [(run,) for run in runs.values()]
-        )
+        Inspection(name, subject) for name in specs for subject in _subjects(name, partitions)
     ]
-    targets = {
-        asset: latest_materializations(context.instance, asset, list(runs))
-        for asset in {spec.asset_key for spec in specs.values()}
+    found: dict[str, dict[str, list[tuple[Inspection, InspectionResult]]]] = {
+        name: {key: [] for key in partitions} for name in specs
     }
-    wrong: dict[str, list[str]] = {name: [] for name in specs}
+    of_run = {run: key for key, runs in partitions.items() for run in runs}
     for outcome in fleet.outcomes(inspect, inspections, "inspections done"):
-        found = outcome.result or InspectionResult(
+        result = outcome.result or InspectionResult(
             [outcome.error or "the inspection ended early"], {}
         )
-        if found.wrong:
-            wrong[outcome.job.name] += [run.key for run in outcome.job.runs if run.key in runs]
-        for run in outcome.job.runs:
-            if run.key in runs:
-                spec = specs[outcome.job.name]
-                yield check_evaluation(
-                    spec,
-                    run.key,
-                    targets[spec.asset_key].get(run.key),
-                    passed=not found.wrong,
-                    description="; ".join(found.wrong[:SHOWN]) or None,
-                    metadata={**found.figures, "wrong": len(found.wrong)},
-                )
-    for name, keys in wrong.items():
-        result = f"failed for {', '.join(keys[:SHOWN])}" if keys else "passed"
-        context.log.info(f"Check {name} of {len(runs)} runs: {result}.")
+        for key in {of_run[run] for run in outcome.job.runs if run in of_run}:
+            found[outcome.job.name][key].append((outcome.job, result))
+    for name, spec in specs.items():
+        targets = latest_materializations(context.instance, spec.asset_key, list(partitions))
+        results = {key: _together(of) for key, of in found[name].items() if of}
+        for key, (wrong, figures) in results.items():
+            yield check_evaluation(
+                spec,
+                key,
+                targets.get(key),
+                passed=not wrong,
+                description="; ".join(wrong[:SHOWN]) or None,
+                metadata={**figures, "wrong": len(wrong)},
+            )
+        failed = [key for key, (wrong, _) in results.items() if wrong]
+        outcome_of_all = f"failed for {', '.join(failed[:SHOWN])}" if failed else "passed"
+        context.log.info(f"Check {name} of {len(of_run)} runs: {outcome_of_all}.")
     for spec in specs.values():
         yield dg.Output(None, output_name=spec.get_python_identifier())
+
+
+def _subjects(
+    name: str, partitions: Mapping[str, Sequence[RunDirectory]]
+) -> Iterable[tuple[RunDirectory, ...]]:
+    """Return the runs that each inspection of a kind looks at."""
+    if name in OF_TABLES:
+        return [tuple(runs) for runs in partitions.values()]
+    runs = [run for of in partitions.values() for run in of]
+    return complete_pairs(runs) if name == PAIR_CHECK else [(run,) for run in runs]
+
+
+def _together(
+    results: "Sequence[tuple[Inspection, InspectionResult]]",
+) -> tuple[list[str], dict[str, int | float]]:
+    """Return what is wrong in the runs of a partition, and the sums of their figures."""
+    several = len(results) > 1
+    wrong = [
+        f"{job.runs[-1].run_id}: {each}" if several else each
+        for job, result in results
+        for each in result.wrong
+    ]
+    names = dict.fromkeys(name for _, result in results for name in result.figures)
+    return wrong, {name: sum(of.figures.get(name, 0) for _, of in results) for name in names}
 
 
 def complete_pairs(runs: Iterable[RunDirectory]) -> list[tuple[RunDirectory, RunDirectory]]:

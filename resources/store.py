@@ -8,6 +8,7 @@ import dagster as dg
 from pydantic import Field
 
 from oracle_pipeline.bags import layout
+from oracle_pipeline.bags.protocol import runs_named
 from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
 
 
@@ -62,8 +63,13 @@ class RunStore(dg.ConfigurableResource[None]):
             ) from error
 
     def run(self, key: str) -> RunDirectory:
-        """Return the directory of a run, by its partition key."""
+        """Return the directory of a run, by its key ``<mode>|run003``."""
         return RunDirectory.of_key(self.path, key)
+
+    def runs(self, partition: str) -> list[RunDirectory]:
+        """Return the directories of the runs of a partition, by its key."""
+        mode, name = partition.split("|")
+        return [RunDirectory(self.path, mode, run) for run in runs_named(name) or ()]
 
     def complete_runs(self) -> list[RunDirectory]:
         """Return the existing runs, sorted by mode and number."""

@@ -1,16 +1,16 @@
 """The figures of the assets of one run, as the UI shows them."""
 
 import hashlib
-import json
 
+from assets.worker.kept_tables import kept_tables
 from assets.worker.run_job import RECORDED, TABLES, AssetOfRun, Figures, Status
 from assets.worker.versions import feature_code
+from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.bags.graph_files import read_gexf
 from oracle_pipeline.bags.integrity import require_undamaged
 from oracle_pipeline.bags.layout import TableName
 from oracle_pipeline.bags.manifest import Kept, Manifest
 from oracle_pipeline.bags.run_directory import GRAPHS_FOLDER, RunDirectory
-from oracle_pipeline.datasets import MISSING, content_hash, feature_columns, read_table
 
 
 def described_recording(
@@ -96,18 +96,12 @@ def described_features(run: RunDirectory, status: Status, wall_s: float) -> dict
 
 
 def _of_table(run: RunDirectory, table: TableName, status: Status, wall_s: float) -> AssetOfRun:
-    place = run.feature_table(table)
-    df = read_table(place)
-    reasons = [json.loads(row) for row in df[MISSING]]
-    version = content_hash(df)
+    if (kept := kept_tables(run)) is None:
+        raise RunDirectoryError(f"{run.key} has no feature tables; materialize them again.")
     figures: Figures = {
         "status": status,
-        "dagster/row_count": len(df),
-        "features": len(feature_columns(df)),
-        "missing": sum(len(row) for row in reasons),
-        "missing_features": ", ".join(sorted({name for row in reasons for name in row})),
-        "bytes": place.stat().st_size,
+        **kept.runs[run.run_id]["figures"][table],
         "wall_s": wall_s,
-        "content_hash": version,
     }
-    return AssetOfRun(place.relative_to(run.root).as_posix(), feature_code(), version, figures)
+    place = kept.place(table).relative_to(run.root).as_posix()
+    return AssetOfRun(place, feature_code(), str(figures["content_hash"]), figures)

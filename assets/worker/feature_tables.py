@@ -1,8 +1,8 @@
 """The feature tables and signals of one run: extracted again only if something has changed.
 
 The same pass over the bag gives the signals for the kinds of oracle
-(``oracle_pipeline.oracles.traces``). A small JSON file beside the tables has hashes of their inputs
-and content. Heavy imports are inside the functions, so that verifying a run is fast.
+(``oracle_pipeline.oracles.traces``). ``assets.worker.kept_tables`` says where the tables are and
+what they were made of. Heavy imports are inside the functions, so that verifying a run is fast.
 """
 
 import hashlib
@@ -11,9 +11,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from assets.worker.kept_tables import keep_tables, kept_tables
+from assets.worker.run_job import Figures
 from assets.worker.versions import feature_code
 from oracle_pipeline.bags import layout
-from oracle_pipeline.bags.layout import TABLES
+from oracle_pipeline.bags.layout import TABLES, TableName
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.remote import fetched, is_local
 from oracle_pipeline.bags.run_directory import RunDirectory
@@ -34,7 +36,6 @@ def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bo
     refresh
         Always extract.
     """
-    from oracle_pipeline.datasets import replacing
     from oracle_pipeline.features import build_manager, extract, write
     from oracle_pipeline.features.engine.kept_messages import KeptMessages
     from oracle_pipeline.features.extraction import only_robot
@@ -48,11 +49,14 @@ def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bo
     with fetched(run.path) as folder, open_run(folder) as opened:
         manager, robot = build_manager(), only_robot(opened)
         recording = KeptMessages.read(robot, (*manager.plugins, TRACE))
-        write(extract(opened, manager, robot, recording), run)
+        tables = extract(opened, manager, robot, recording)
+        of_run, of_windows = write(tables, run)
+        figures: dict[TableName, Figures] = {
+            "run": _figures(tables.run, of_run),
+            "window": _figures(tables.windows, of_windows),
+        }
         keep_trace(trace_of(recording), run, layout.traces(run.root))
-    record = {"inputs": _inputs(manifest), "tables": _hashes(run)}
-    with replacing(_record(run)) as sink:
-        sink.write(json.dumps(record).encode())
+    keep_tables(run, _inputs(manifest), figures)
     return True
 
 
@@ -70,7 +74,10 @@ def require_trace(run: RunDirectory) -> "pd.DataFrame":
 
 def tables_are_current(run: RunDirectory, manifest: Manifest) -> bool:
     """Return whether extracting the features of a run now would give the same tables."""
-    return _read(_record(run)) == {"inputs": _inputs(manifest), "tables": _hashes(run)}
+    kept = kept_tables(run)
+    if kept is None or kept.runs[run.run_id]["inputs"] != _inputs(manifest):
+        return False
+    return kept.is_intact()
 
 
 def topics_of_features(bag: "BagReader") -> frozenset[str]:
@@ -89,10 +96,6 @@ def _remove_leftovers(run: RunDirectory) -> None:
                 leftover.unlink(missing_ok=True)
 
 
-def _record(run: RunDirectory) -> Path:
-    return run.feature_table("run").with_suffix(".json")
-
-
 def _inputs(manifest: Manifest) -> str:
     """Return a hash of the inputs of features: the code, and the run without its measurements."""
     not_inputs = {"measured": None, "task_effect": None}
@@ -100,17 +103,16 @@ def _inputs(manifest: Manifest) -> str:
     return hashlib.sha256(json.dumps(sources, sort_keys=True).encode()).hexdigest()
 
 
-def _hashes(run: RunDirectory) -> dict[str, str]:
-    places = {table: run.feature_table(table) for table in TABLES}
+def _figures(df: "pd.DataFrame", place: Path) -> Figures:
+    """Return the figures of a table, which do not change until it is made again."""
+    from oracle_pipeline.datasets import MISSING, content_hash, feature_columns
+
+    reasons = [json.loads(row) for row in df[MISSING]]
     return {
-        table: hashlib.sha256(place.read_bytes()).hexdigest()
-        for table, place in places.items()
-        if place.is_file()
+        "dagster/row_count": len(df),
+        "features": len(feature_columns(df)),
+        "missing": sum(len(row) for row in reasons),
+        "missing_features": ", ".join(sorted({name for row in reasons for name in row})),
+        "bytes": place.stat().st_size,
+        "content_hash": content_hash(df),
     }
-
-
-def _read(record: Path) -> object:
-    try:
-        return json.loads(record.read_bytes())
-    except (FileNotFoundError, ValueError):
-        return None

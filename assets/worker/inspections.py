@@ -1,18 +1,21 @@
 """Inspections of run directories and their findings; ``assets.run_checks`` makes them checks."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from assets.worker.kept_tables import read_tables
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.integrity import damaged_files, require_undamaged
+from oracle_pipeline.bags.layout import TableName
 from oracle_pipeline.bags.protocol import INTERVAL_S
 from oracle_pipeline.bags.reader import counts_and_hash
 from oracle_pipeline.bags.remote import fetched
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, RunDirectory
-from oracle_pipeline.datasets import MISSING, feature_columns, read_table
+from oracle_pipeline.datasets import MISSING, feature_columns
 from oracle_pipeline.features.engine.kept_messages import KeptMessages
 from oracle_pipeline.features.extraction import only_robot
 from oracle_pipeline.graphs.differences import graph_differences
@@ -21,10 +24,13 @@ from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.contract import Observation, Observer
 from oracle_pipeline.scoring.isolation import interfaces
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """One inspection of one run, or of the two runs of a pair."""
+    """One inspection of one run, of the two runs of a pair, or of the tables of several."""
 
     name: str  # of a function in this module
     runs: tuple[RunDirectory, ...]
@@ -103,23 +109,31 @@ def graphs_of_a_pair_are_equal(control: RunDirectory, attacked: RunDirectory) ->
     return InspectionResult(list(map(str, differences)), {"intervals": min(len(ours), len(theirs))})
 
 
-def run_features_are_finite(run: RunDirectory) -> InspectionResult:
-    """Find features of the run that are neither finite nor have a reason."""
-    return _finite(run.feature_table("run"))
+def run_features_are_finite(*runs: RunDirectory) -> InspectionResult:
+    """Find features of runs that are neither finite nor have a reason."""
+    return _finite(runs, "run")
 
 
-def window_features_are_finite(run: RunDirectory) -> InspectionResult:
-    """Find features of its windows that are neither finite nor have a reason."""
-    return _finite(run.feature_table("window"))
+def window_features_are_finite(*runs: RunDirectory) -> InspectionResult:
+    """Find features of windows of runs that are neither finite nor have a reason."""
+    return _finite(runs, "window")
 
 
-def _finite(place: Path) -> InspectionResult:
-    df = read_table(place)
+def _finite(runs: Sequence[RunDirectory], table: TableName) -> InspectionResult:
+    parts = [_finite_in(df) for df in read_tables(runs, table)]
+    names = parts[0].figures
+    return InspectionResult(
+        [wrong for part in parts for wrong in part.wrong],
+        {name: sum(part.figures[name] for part in parts) for name in names},
+    )
+
+
+def _finite_in(df: "pd.DataFrame") -> InspectionResult:
     columns = feature_columns(df)
     finite = np.isfinite(df[columns].to_numpy())
     reasons = [json.loads(row) for row in df[MISSING]]
     wrong = [
-        f"row {row}, {columns[column]}: neither a number nor a reason"
+        f"{df['run_id'].iloc[row]}, row {row}, {columns[column]}: neither a number nor a reason"
         for row, column in zip(*np.nonzero(~finite), strict=True)
         if columns[column] not in reasons[row]
     ]

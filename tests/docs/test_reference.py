@@ -8,7 +8,7 @@ import subprocess
 
 import pytest
 
-from assets.partitions import run_count
+from assets.partitions import run_count, runs_per_partition
 from oracle_pipeline.definitions import defs
 from oracle_pipeline.features import build_manager
 from sim.campaigns import Campaign
@@ -50,12 +50,17 @@ def test_the_configuration_page_lists_every_variable_and_no_other():
 
 
 @pytest.mark.parametrize(
-    "variable", ["ORACLE_RUNS", "ORACLE_GOALS_PER_RUN", "ORACLE_ARENA", "ORACLE_NAV2"]
+    "variable",
+    [
+        *("ORACLE_RUNS", "ORACLE_RUNS_PER_PARTITION", "ORACLE_GOALS_PER_RUN"),
+        *("ORACLE_ARENA", "ORACLE_NAV2"),
+    ],
 )
 def test_defaults_on_the_configuration_page_are_those_of_the_code(variable, monkeypatch):
     monkeypatch.delenv(variable, raising=False)
     actual = {
         "ORACLE_RUNS": lambda: run_count(os.environ),
+        "ORACLE_RUNS_PER_PARTITION": lambda: runs_per_partition(os.environ),
         "ORACLE_ARENA": lambda: Campaign.from_environment().options.arena,
         "ORACLE_NAV2": lambda: Campaign.from_environment().options.nav2,
         "ORACLE_GOALS_PER_RUN": lambda: Campaign.from_environment().goals_per_run,
