@@ -25,11 +25,11 @@ INSTALL = $(BIN)/python -m pip install --quiet --no-compile --constraint constra
 export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: help setup setup-dev demo demo-card run campaign ui test test-everything test-quick test-browser test-compiled lint types size architecture docs \
-	pictures wheel install-check bench soak constraints requirements image sbom clean
+	pictures wheel install-check bench ros1 soak constraints requirements image sbom clean
 .DEFAULT_GOAL := help
 
 help: ## Show this list
-	@grep -E '^[a-z-]+:.*## ' Makefile | awk -F':.*## ' '{printf "  make %-15s %s\n", $$1, $$2}'
+	@grep -E '^[a-z0-9-]+:.*## ' Makefile | awk -F':.*## ' '{printf "  make %-15s %s\n", $$1, $$2}'
 
 setup: $(VENV)/.compiled ## Make .venv with what running needs, in pinned versions
 
@@ -162,6 +162,9 @@ architecture: $(VENV)/.ready-dev ## Draw who imports whom, for docs/explanation/
 
 bench: setup-dev ## Measure speed, size and memory, as ratios of one run
 	python -m tools.bench
+
+ros1: setup-dev ## Judge ROS 1 nodes that nobody here wrote; needs Debian's packages, see tools/ros1.py
+	python -m tools.ros1
 
 soak: setup-dev ## Kill everything at random moments, fill the disk, flip bits, keep 600 runs within 2 GB; hours
 	python -m tools.soak.faults

@@ -122,26 +122,37 @@ _EXACT = 5e-3  # residual below which commands cannot be distinguished [unit/s]
 _OUTLYING = 4.0  # robust deviations; spans beyond are left out of the fit of scale and lag
 
 
+def _floors(pair: Pair) -> tuple[float, float, float, float]:
+    """Return the resolutions of scale, lag, residual and drift.
+
+    A real robot obeys its commands within some per cent: it accelerates, and stops for people.
+    """
+    if COMMAND in pair:
+        return 0.05, 0.02, 0.05, 0.02
+    if PLACE in pair:
+        return 5e-3, 0.02, 0.02, 5e-3
+    return (5e-3, 5e-3, 2e-3, 5e-3) if SCAN in pair else (2e-3, 5e-3, 2e-3, 1e-3)
+
+
 def _features() -> Iterator[Feature]:
     for pair in PAIRS:
-        loose = COMMAND in pair or PLACE in pair
-        floor = 5e-3 if loose or SCAN in pair else 2e-3
+        scale, lag, residual, drift = _floors(pair)
         what = f"{pair.quantity} from {pair.second} relative to {pair.first}"
         yield Feature(
-            pair.column("scale"), "1", floor,
+            pair.column("scale"), "1", scale,
             f"ln of the scale of {what}; value furthest from 0 over the topics", "domain",
         )  # fmt: skip
         yield Feature(
-            pair.column("lag"), "s", 0.02 if loose else 5e-3,
+            pair.column("lag"), "s", lag,
             f"delay of {what}; value furthest from 0 over the topics", "domain", timing=True,
         )  # fmt: skip
         yield Feature(
-            pair.column("residual"), _UNITS[pair.quantity], 0.02 if loose else 2e-3,
+            pair.column("residual"), _UNITS[pair.quantity], residual,
             f"root mean square of the residual, after scale and lag, of {what}; "
             "maximum over the topics", "domain", timing=True,
         )  # fmt: skip
         yield Feature(
-            pair.column("drift"), _UNITS[pair.quantity], 5e-3 if loose or SCAN in pair else 1e-3,
+            pair.column("drift"), _UNITS[pair.quantity], drift,
             f"mean of the residual, after scale and lag, of {what}; "
             "value furthest from 0 over the topics", "domain", timing=True,
         )  # fmt: skip

@@ -44,11 +44,11 @@ _MONITOR_FEATURES = (
 )  # fmt: skip
 _COMMAND_FEATURES = timed(
     Feature(
-        "command_zero", "1", 0.01, "share of the velocity commands that are zero", "navigation",
+        "command_zero", "1", 0.05, "share of the velocity commands that are zero", "navigation",
         behaviour=True,
     ),
     Feature(
-        "command_reversals", "1/min", 0.5,
+        "command_reversals", "1/min", 6.0,
         "sign changes of the commanded angular velocity per minute of commands", "navigation",
         behaviour=True,
     ),

@@ -55,7 +55,7 @@ FEATURES = timed(
         "topics of sensors", "domain",
     ),
     Feature(
-        "late", "1", 5e-3,
+        "late", "1", 0.05,
         "share of the messages whose latency is a period or more above the topic's median, maximum "
         "over the topics of sensors", "domain",
     ),
