@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from oracle_pipeline.bags.run_directory import bytes_on_disk
 from oracle_pipeline.live.recorder import Recorder
 from oracle_pipeline.live.split_bag import Message
 
@@ -74,6 +73,10 @@ class BlackBox:
             shutil.rmtree(recorder.path, ignore_errors=True)
             return False
         self.kept.append(recorder.path)
-        while sum(sum(bytes_on_disk(each).values()) for each in self.kept) > self.keep.most_bytes:
+        while sum(map(_size_bytes, self.kept)) > self.keep.most_bytes:
             shutil.rmtree(self.kept.pop(0), ignore_errors=True)
         return True
+
+
+def _size_bytes(folder: Path) -> int:
+    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())

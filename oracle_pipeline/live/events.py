@@ -1,6 +1,7 @@
 """What happens while a domain is watched, as events for its readers."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeAlias
 
 from oracle_pipeline.bags.graph_files import RosGraph
@@ -46,6 +47,13 @@ class Note:
     """A remark for people, such as on dropped messages or a topic that cannot be read."""
 
     text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Kept(Note):
+    """The black box has kept a recording."""
+
+    path: Path
 
 
 Event: TypeAlias = MessageReceived | GraphTaken | WindowVerdict | WindowAlarm | ContractAlarm | Note

@@ -1,28 +1,19 @@
-"""Receives the messages of a DDS domain as bytes, into a bounded queue.
+"""A bounded queue of messages as bytes, between their source and the watch.
 
-A separate thread receives them, so each gets its time of arrival at once. If the queue is full, the
-newest messages are dropped; if the thread is too slow, DDS drops the oldest. Both are counted. A
-robot never waits for the watch: readers keep only the last messages, so a full queue here does not
-fill the robot's queues.
+If it is full, the newest messages are dropped, and counted by topic.
 """
 
 import threading
-import time
 from collections import Counter
+from collections.abc import Iterable
 from typing import NamedTuple
 
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosReliability
+from rosbags.interfaces import Qos
 
-from oracle_pipeline.bags import dds
-from oracle_pipeline.bags.dds_names import dds_topic
-from oracle_pipeline.bags.errors import DdsError
-from oracle_pipeline.bags.qos_profiles import compatible
-from oracle_pipeline.live.discovery import ENTITIES_QOS
+from oracle_pipeline.bags.errors import OracleError
 
 QUEUE_BYTES = 64 * 2**20  # of waiting messages, at most
 PACKETS_S = 1.0  # between two counts of lost packets, which take a millisecond each
-_DEPTH = 500  # history depth of a DDS reader
-_WAIT_S = 0.2  # at most, until the thread checks for new readers or its end
 
 
 class Received(NamedTuple):
@@ -37,12 +28,10 @@ class Received(NamedTuple):
 
 
 class Intake:
-    """Subscribes to topics and queues their messages.
+    """Queues the messages of topics; a source subscribes to them, and puts them in.
 
     Parameters
     ----------
-    participant
-        Owner of the readers.
     queue_bytes : int
         Size of the queue [B].
 
@@ -52,53 +41,35 @@ class Intake:
         Message type of each subscribed topic.
     """
 
-    def __init__(self, participant: dds.Participant, queue_bytes: int = QUEUE_BYTES) -> None:
+    def __init__(self, queue_bytes: int = QUEUE_BYTES) -> None:
         self.topics: dict[str, str] = {}
-        self._participant = participant
         self._most_bytes = queue_bytes
-        self._ready = dds.ReadyReaders(participant)
-        self._requested: dict[str, Qos] = {}
-        self._names: dict[dds.RawReader, str] = {}
         self._queue: list[Received] = []
         self._bytes = 0
         self._lost: Counter[str] = Counter()
-        self._packets, self._counted_s = dds.dropped_packets(), time.monotonic()
         self._lock = threading.Lock()
-        self._ended = False
-        self._error: DdsError | None = None
-        self._thread = threading.Thread(target=self._run, name="intake", daemon=True)
-        self._thread.start()
+        self._error: OracleError | None = None
 
-    def subscribe(self, topic: str, msgtype: str, *, reliable: bool, latched: bool) -> None:
+    def subscribe(self, topic: str, msgtype: str, *, reliable: bool, latched: bool) -> None:  # noqa: ARG002 -- sources with QoS use them
         """Subscribe to a topic.
 
         Raises
         ------
-        DdsError
+        OracleError
             If its type is unknown.
         """
-        qos = ENTITIES_QOS._replace(
-            history=QosHistory.KEEP_LAST,
-            depth=_DEPTH,
-            reliability=QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
-            durability=QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
-        )
-        reader = dds.RawReader(self._participant, dds_topic(topic), msgtype, qos)
         self.topics[topic] = msgtype
-        self._requested[topic] = qos
-        self._names[reader] = topic
-        self._ready.add(reader)
 
-    def accepts(self, topic: str, offered: Qos) -> bool:
+    def accepts(self, topic: str, offered: Qos) -> bool:  # noqa: ARG002 -- sources with QoS use them
         """Return whether a publisher's QoS is compatible with our subscription's."""
-        return compatible(offered, self._requested[topic])
+        return True
 
     def take(self) -> list[Received]:
         """Return the queued messages, in order of arrival.
 
         Raises
         ------
-        DdsError
+        OracleError
             If messages can no longer be received.
         """
         with self._lock:
@@ -107,55 +78,8 @@ class Intake:
             taken, self._queue, self._bytes = self._queue, [], 0
         return taken
 
-    def lost(self) -> Counter[str]:
-        """Return how many messages of each topic were lost since the last call.
-
-        Either the queue was full, or the reader's history was.
-        """
-        with self._lock:
-            lost, self._lost = self._lost, Counter()
-        return lost
-
-    def lost_packets(self) -> int:
-        """Return how many packets found the network buffers full; counted every `PACKETS_S`."""
-        if time.monotonic() - self._counted_s < PACKETS_S:
-            return 0
-        before = self._packets
-        self._packets, self._counted_s = dds.dropped_packets(), time.monotonic()
-        return max(0, self._packets - before)
-
-    def close(self) -> None:
-        """Stop receiving; messages that were not taken stay in the queue."""
-        self._ended = True
-        self._thread.join()
-
-    def _run(self) -> None:
-        try:
-            while not self._ended:
-                ready = self._ready.wait(_WAIT_S)
-                now = time.time_ns(), time.monotonic_ns()
-                came = [
-                    Received(self._names[reader], raw.source_ns, *now, raw.writer, raw.data)
-                    for reader in ready
-                    for raw in self._taken(reader)
-                ]
-                came.sort(
-                    key=lambda each: each.sent_ns
-                )  # in sending order, if the senders' clocks agree
-                self._put(came)
-        except DdsError as error:
-            with self._lock:
-                self._error = error
-
-    def _taken(self, reader: dds.RawReader) -> list[dds.Raw]:
-        """Take from a reader, and count what it lost meanwhile."""
-        before, taken = reader.lost, reader.take()
-        if lost := reader.lost - before:
-            with self._lock:
-                self._lost[self._names[reader]] += lost
-        return taken
-
-    def _put(self, came: list[Received]) -> None:
+    def put(self, came: Iterable[Received]) -> None:
+        """Queue messages; any thread may call it."""
         with self._lock:
             for received in came:
                 if self._bytes + len(received.data) > self._most_bytes:
@@ -163,3 +87,16 @@ class Intake:
                 else:
                     self._queue.append(received)
                     self._bytes += len(received.data)
+
+    def lost(self) -> Counter[str]:
+        """Return how many messages of each topic were lost since the last call."""
+        with self._lock:
+            lost, self._lost = self._lost, Counter()
+        return lost
+
+    def lost_packets(self) -> int:
+        """Return how many packets were lost before they were messages; counted each second."""
+        return 0
+
+    def close(self) -> None:
+        """Stop receiving; messages that were not taken stay in the queue."""

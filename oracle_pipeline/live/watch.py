@@ -1,6 +1,6 @@
-"""Watches a DDS domain: records and judges its messages, and reports events as they happen.
+"""Watches a running system: records and judges its messages, and reports events as they happen.
 
-``oracle watch`` uses ``Watch``. It only reads, and has no writer on the domain.
+``oracle watch`` uses ``Watch``. It only reads, and never publishes.
 """
 
 import itertools
@@ -9,24 +9,30 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from time import monotonic, monotonic_ns, sleep
+from time import monotonic, monotonic_ns
 from typing import Any, Self
 
-from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.disturbances import Disturbances
-from oracle_pipeline.bags.errors import DdsError, OracleError
+from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.limits import MOST_CHANNELS
 from oracle_pipeline.bags.protocol import is_hidden
 from oracle_pipeline.bags.qos_profiles import is_latched, is_reliable
 from oracle_pipeline.live.black_box import BlackBox, Keep
 from oracle_pipeline.live.contract_watch import ContractWatch
-from oracle_pipeline.live.discovery import Discovery, Endpoint
-from oracle_pipeline.live.events import ContractAlarm, Event, MessageReceived, Note, WindowAlarm
-from oracle_pipeline.live.intake import QUEUE_BYTES, Intake, Received
+from oracle_pipeline.live.discovery import Endpoint
+from oracle_pipeline.live.events import (
+    ContractAlarm,
+    Event,
+    Kept,
+    MessageReceived,
+    Note,
+    WindowAlarm,
+)
+from oracle_pipeline.live.intake import Received
 from oracle_pipeline.live.judge_process import JudgeProcess
-from oracle_pipeline.live.machine import Machine
 from oracle_pipeline.live.recorder import Recorder
 from oracle_pipeline.live.segment import Segment
+from oracle_pipeline.live.source import Source
 from oracle_pipeline.live.split_bag import Message, Split
 from oracle_pipeline.live.time_base import CLOCK_TOPIC, RobotTime, Stamped, Step
 from oracle_pipeline.live.window_scorer import WindowVerdict
@@ -34,21 +40,20 @@ from oracle_pipeline.live.window_scorer import WindowVerdict
 _SETTLE_S = 2.0  # from the first topic until discovery is taken to be complete
 _DISCOVERY_S = 0.1  # rosbag2 looks for new topics this often
 _FLUSH_S = 1.0  # of what is lost at most if the watch is killed
-_PAUSE_S = 0.05  # between two reads of the queue; waking up for each message costs more
 _VERDICT_S = 5.0  # that a segment waits for a verdict on one of its windows
 _LATCHED = 20  # newest messages of a latched topic, with which another segment begins
 
 
 class Watch:
-    """Watches a domain; a context manager, and an iterator over events.
+    """Watches a source of messages; a context manager, and an iterator over events.
 
     Each segment, from one step of the clock to the next, is a recording of its own. However the
     watch ends, its recordings are complete.
 
     Parameters
     ----------
-    domain : int
-        Which DDS domain.
+    source : Source
+        Of the messages, such as a `Domain`; the watch closes it.
     card : Path, optional
         Reference card to judge windows by; without one, nothing is judged.
     folder : Path, optional
@@ -67,8 +72,6 @@ class Watch:
         As for `WindowScorer`.
     plugins : Path, optional
         Folder of feature plugins.
-    queue_bytes : int
-        Size of the queue of received messages [B].
 
     Attributes
     ----------
@@ -81,14 +84,14 @@ class Watch:
 
     Examples
     --------
-    >>> with Watch(0, folder=Path("recordings"), name="today") as watch:
+    >>> with Watch(Domain(0), folder=Path("recordings"), name="today") as watch:
     ...     for event in watch:
     ...         print(event)
     """
 
     def __init__(
         self,
-        domain: int,
+        source: Source,
         *,
         card: Path | None = None,
         folder: Path | None = None,
@@ -99,12 +102,11 @@ class Watch:
         keep_free_bytes: int | None = None,
         alarms_per_h: float | None = None,
         plugins: Path | None = None,
-        queue_bytes: int = QUEUE_BYTES,
     ) -> None:
         self.losses = Disturbances()
         self.received = 0
         self.recordings: list[Path] = []
-        self._domain, self._folder, self._name = domain, folder, name
+        self._source, self._folder, self._name = source, folder, name
         self._split, self._piece_s, self._keep_free_bytes = split, piece_s, keep_free_bytes
         self._black_box = None if keep is None else BlackBox(keep)
         self._triggers = frozenset() if keep is None else keep.topics
@@ -113,15 +115,12 @@ class Watch:
         self._contract = None if self._judge is None else self._judge.contract
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)  # an unusable folder raises an error at once
-        self._participant = dds.join(domain)
-        self.discovery = Discovery(self._participant)
-        self._intake = Intake(self._participant, queue_bytes)
+        self.discovery, self._intake = source.discovery, source.intake
         self._announced: dict[str, list[Endpoint]] = {}  # publishers so far, by topic
         self._unsupported: set[str] = set()  # topics that cannot be recorded
         self._latched: dict[str, deque[Stamped]] = {}
         self._time = RobotTime(simulated=False)
         self._segment: Segment | None = None
-        self._machine = Machine()
         self._pending: deque[Event] = deque()
 
     def stop(self) -> None:
@@ -141,8 +140,7 @@ class Watch:
         try:
             self._end_segment()
         finally:
-            self._intake.close()
-            dds.leave(self._participant)
+            self._source.close()
             if self._judge is not None:
                 self._judge.close()
 
@@ -151,7 +149,7 @@ class Watch:
         self._settle()
         discovered = flushed = 0.0
         while not self._stopped:
-            is_busy = self._machine.pause(_PAUSE_S)
+            is_busy = self._source.pause()
             before_ns = monotonic_ns()
             came = self._intake.take()
             self._count_losses(is_busy=is_busy)
@@ -167,18 +165,20 @@ class Watch:
                 flushed = monotonic()
                 self._flush()
             self._collect()
+            if self._source.calls():
+                self.trigger("a call of the service")
             while self._pending:
                 yield self._pending.popleft()
         yield from self._finish()
 
     def _settle(self) -> None:
-        """Wait until the nodes of the domain are known, and choose the time base."""
+        """Wait until the nodes of the system are known, and choose the time base."""
         until = None
         while (until is None or monotonic() < until) and not self._stopped:
             self.discovery.update()
             if until is None and self.discovery.topics():
                 until = monotonic() + _SETTLE_S
-            sleep(_PAUSE_S)
+            self._source.pause()
         self._time = RobotTime(simulated=CLOCK_TOPIC in self.discovery.topics())
         self._discover(force=True)
 
@@ -207,7 +207,7 @@ class Watch:
         reliable = all(is_reliable(each.qos) for each in publishers)
         try:
             self._intake.subscribe(topic, publishers[0].msgtype, reliable=reliable, latched=latched)
-        except DdsError as error:
+        except OracleError as error:
             self._unsupported.add(topic)
             self._pending.append(Note(f"{topic} is not recorded: {error}"))
             return
@@ -312,7 +312,7 @@ class Watch:
     def _recorder(self, start_ns: int, start_s: float = 0.0) -> Recorder | None:
         if self._folder is None:
             return None
-        facts = {"domain": self._domain, "time": self._time.name, "start_ns": start_ns}
+        facts = {**self._source.facts, "time": self._time.name, "start_ns": start_ns}
         names = itertools.chain([self._name], (f"{self._name}_{n}" for n in itertools.count(2)))
         path = next(p for name in names if not (p := self._folder / name).exists())
         recorder = Recorder(path, facts, self._split, self._keep_free_bytes, start_s)
@@ -355,7 +355,7 @@ class Watch:
         if self._black_box is None:
             recorder.close()
         elif self._black_box.take(recorder):
-            self._pending.append(Note(f"Kept: {recorder.path}"))
+            self._pending.append(Kept(f"Kept: {recorder.path}", recorder.path))
         self.recordings = [path for path in self.recordings if path.exists()]
 
     def _end_segment(self) -> None:

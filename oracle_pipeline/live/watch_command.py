@@ -5,6 +5,8 @@ import dataclasses
 import json
 import math
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from oracle_pipeline.live.watch import Watch
 
 
+_FILM = "import os; os.nice(19); from oracle_pipeline.cli import main; main()"
 _PIECE_S = 120.0  # of each recording that a card is learned from
 
 
@@ -62,6 +65,10 @@ _PIECE_S = 120.0  # of each recording that a card is learned from
     help="A message on this topic is kept as an alarm is; so is the signal SIGUSR1.",
 )  # fmt: skip
 @click.option(
+    "--keep-service", metavar="NAME", default="",
+    help="Offer a std_srvs/srv/Trigger to robots with Cyclone DDS; a call is kept as an alarm is.",
+)  # fmt: skip
+@click.option(
     "--keep-at-most", metavar="SIZE", callback=as_size,
     help="Size of all that is kept; the oldest is deleted first.  [default: no limit]",
 )  # fmt: skip
@@ -90,6 +97,7 @@ def watch(
     keep_free: int | None,
     keep: "Keep | None",
     keep_on: tuple[str, ...],
+    keep_service: str,
     keep_at_most: int | None,
     alarms_per_hour: float | None,
     file_format: str,
@@ -100,8 +108,9 @@ def watch(
     """Watch a running robot: record it, and judge it as it goes.
 
     It joins a DDS domain without ROS, takes the ROS graph every 10 s, and judges windows of 5 s as
-    they end. It never publishes. However it ends, what was recorded until a second before is kept:
-    `oracle score` judges it as a whole, and Foxglove opens its bag.
+    they end. It publishes nothing but the answers of --keep-service. However it ends, what was
+    recorded until a second before is kept: `oracle score` judges it as a whole, and Foxglove opens
+    its bag.
 
     Exit code 0: no alarm; 1: at least one; 2: it could not watch.
 
@@ -115,7 +124,8 @@ def watch(
         oracle watch --reference robot.card --domain 7 --format json | jq .alarm
     """  # noqa: D301 -- click reads the control character
     from oracle_pipeline.bags.dds import default_domain
-    from oracle_pipeline.live.events import ContractAlarm, WindowAlarm
+    from oracle_pipeline.live.domain import Domain
+    from oracle_pipeline.live.events import ContractAlarm, Kept, WindowAlarm
     from oracle_pipeline.live.watch import Watch
 
     if learn is not None:
@@ -130,12 +140,12 @@ def watch(
         _finish_leftovers(out)
     number = default_domain() if domain is None else domain
     name = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
-    alarms = 0
+    alarms, films = 0, []
     with contextlib.ExitStack() as stack:
         page = None if view is None else stack.enter_context(_page(view))
         watching = stack.enter_context(
             Watch(
-                number,
+                Domain(number, service=keep_service if keep else ""),
                 card=reference,
                 folder=out,
                 name=name,
@@ -158,6 +168,8 @@ def watch(
             alarms += isinstance(event, WindowAlarm | ContractAlarm)
             if page is not None:
                 page.show(event)
+            if isinstance(event, Kept):
+                films.append(_begin_film(event.path))
             for line in lines_of(event, watching, file_format):
                 click.echo(line)
     dropped = watching.losses.lost.total()
@@ -215,6 +227,20 @@ def _finish_leftovers(folder: Path) -> int:
         told = each.fault or f"{each.messages} messages are kept."
         click.echo(f"{each.path} was not completed. {told}", err=True)
     return faults
+
+
+def _begin_film(recording: Path) -> "subprocess.Popen[bytes]":
+    """Let another process draw a film when nothing else needs the processor.
+
+    It goes on after the end of the watch. A robot without odometry has no film.
+    """
+    return subprocess.Popen(
+        [sys.executable, "-c", _FILM, "replay", recording],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
 
 
 def _page(port: int) -> "LivePage":

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from oracle_pipeline.bags.run_directory import MANIFEST_FILE
+from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
 
 FASTEST_HZ = 50.0  # highest frame rate of animations in browsers
 SUFFIXES = (".gif", ".webp", ".png")
@@ -19,7 +19,7 @@ SUFFIXES = (".gif", ".webp", ".png")
     "-o", "--out", "places", multiple=True, type=click.Path(path_type=Path, dir_okay=False),
     help="File to write: .gif or .webp (a third smaller, slower) for a film, .png for one "
     "picture; may be given more than once.  [default: replay.gif and picture.png in the run "
-    "directory, <bag>.gif and <bag>.png here for a bag]",
+    "directory or recording of `oracle watch`, <bag>.gif and <bag>.png here for a bag]",
 )  # fmt: skip
 @click.option(
     "--frames", default=2.0, show_default=True, type=click.FloatRange(min=0, min_open=True),
@@ -60,7 +60,7 @@ def _beside(run_or_bag: Path) -> tuple[Path, ...]:
     """Return the default paths of film and picture."""
     from oracle_pipeline.replay.picture import FILM, PICTURE
 
-    if (run_or_bag / MANIFEST_FILE).is_file():
+    if any((run_or_bag / name).is_file() for name in (MANIFEST_FILE, RECORDING_FILE)):
         return run_or_bag / FILM, run_or_bag / PICTURE
     name = run_or_bag.resolve().stem
     return Path(f"{name}.gif"), Path(f"{name}.png")

@@ -6,7 +6,7 @@ from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.graph_files import vertex_id
 from oracle_pipeline.bags.protocol import is_hidden
 from oracle_pipeline.bags.run_directory import RunDirectory
-from oracle_pipeline.live.discovery import Discovery
+from oracle_pipeline.live.dds_discovery import DdsDiscovery
 from oracle_pipeline.live.graph_snapshot import snapshot
 from sim.experiments import recipe_for, record_run
 from sim.fuzzing.scenario import ScenarioError
@@ -25,7 +25,7 @@ def test_serving_does_not_change_a_run_and_puts_its_graph_on_dds(
 
     def accompany(run):
         served = ServedDomain(run.domain, domain)
-        discovery = Discovery(dds.join(domain))
+        discovery = DdsDiscovery(dds.join(domain))
 
         def look(now_ns):
             served.look(now_ns)

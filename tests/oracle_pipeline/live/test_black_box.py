@@ -3,15 +3,18 @@
 import json
 import math
 import shutil
+from itertools import count
 
 import pytest
 
-from oracle_pipeline.bags.run_directory import bytes_on_disk
+from oracle_pipeline.bags import dds
 from oracle_pipeline.live.black_box import BlackBox, Keep
+from oracle_pipeline.live.domain import Domain
 from oracle_pipeline.live.events import MessageReceived
 from oracle_pipeline.live.recorder import Recorder
 from oracle_pipeline.live.recovery import recover
 from oracle_pipeline.live.split_bag import Message, Split
+from oracle_pipeline.live.trigger_service import QOS, REPLY, REQUEST, TYPES
 from oracle_pipeline.live.watch import Watch
 from oracle_pipeline.opened_run import open_run
 from sim.middleware.qos import DEFAULT, LATCHED
@@ -100,8 +103,9 @@ def test_a_killed_black_box_leaves_the_time_before(tmp_path):
 
 @pytest.mark.parametrize(("share", "left"), [(0.1, 0), (0.5, 1), (1.0, 3)])
 def test_all_that_is_kept_has_a_limit_and_the_newest_stays(tmp_path, share, left):
-    sizes = [sum(bytes_on_disk(path).values()) for path in kept_at(tmp_path / "all", math.inf)]
-    kept = kept_at(tmp_path / "some", share * sum(sizes))
+    kept_at(tmp_path / "all", math.inf)
+    size = sum(path.stat().st_size for path in (tmp_path / "all").rglob("*") if path.is_file())
+    kept = kept_at(tmp_path / "some", share * size)
     assert set((tmp_path / "some").iterdir()) == set(kept)
     assert [path.name for path in kept] == ["0", "40", "100"][3 - left :]
 
@@ -123,7 +127,7 @@ def test_a_watch_keeps_the_time_around_a_message_on_a_topic(domain, speaker, tmp
     robot.writers["mapper", MAP].write(TEXT)
     speaker.start()
     keep = Keep(20.0, 10.0, topics=frozenset({"/stop"}))
-    with Watch(domain, folder=tmp_path, name="today", keep=keep) as watch:
+    with Watch(Domain(domain), folder=tmp_path, name="today", keep=keep) as watch:
 
         def until(so_far):
             passed_s = (so_far[-1].stamp_ns - so_far[0].stamp_ns) / SECOND_NS
@@ -146,6 +150,26 @@ def test_a_watch_keeps_the_time_around_a_message_on_a_topic(domain, speaker, tmp
         assert [m.stamp_ns for m in kept if m.topic != MAP] == [
             event.stamp_ns for event in received if begin_ns <= event.stamp_ns <= end_ns
         ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_call_of_the_service_is_counted_and_gets_the_answer_with_its_number(domain, eventually):
+    source, robot = Domain(domain, service="/oracle/keep"), dds.join(domain)
+    requests, replies = (kind(robot, name, msgtype, QOS, TYPES) for kind, name, msgtype in (
+        (dds.RawWriter, "rq/oracle/keepRequest", REQUEST),
+        (dds.RawReader, "rr/oracle/keepReply", REPLY),
+    ))  # fmt: skip
+    numbers = count(1)
+
+    def answered():
+        call = TYPES.types[REQUEST](7, next(numbers), 0)
+        requests.write(bytes(TYPES.serialize_cdr(call, REQUEST)))
+        return source.calls() and replies.take()
+
+    answer = TYPES.deserialize_cdr(eventually(answered)[0].data, REPLY)
+    assert (answer.client, answer.success) == (7, True)
+    assert 0 < answer.number < next(numbers)
+    source.close()
 
 
 def _messages(events):

@@ -7,7 +7,7 @@ import pytest
 from oracle_pipeline.bags import dds
 from oracle_pipeline.graphs.intervals import compose
 from oracle_pipeline.live.contract_watch import CONSECUTIVE, STARTUP_S, ContractWatch
-from oracle_pipeline.live.discovery import Discovery
+from oracle_pipeline.live.dds_discovery import DdsDiscovery
 from oracle_pipeline.live.graph_snapshot import snapshot
 from oracle_pipeline.scoring.contract import Contract, Observation, graph_elements, qos_words
 from oracle_pipeline.scoring.pace import Pace
@@ -31,7 +31,7 @@ def robot(domain):
 def watched(domain, robot, eventually):
     """Discovery of the robot, and the contract that the robot keeps."""
     participant = dds.join(domain)
-    discovery = Discovery(participant)
+    discovery = DdsDiscovery(participant)
 
     def is_known():
         discovery.update()

@@ -7,7 +7,8 @@ from rosbags.typesys import Stores
 
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.graph_files import vertex_id
-from oracle_pipeline.live.discovery import UNKNOWN_NODE, Discovery
+from oracle_pipeline.live.dds_discovery import DdsDiscovery
+from oracle_pipeline.live.discovery import UNKNOWN_NODE
 from oracle_pipeline.live.graph_snapshot import snapshot
 from sim.middleware.qos import LATCHED
 from tests.oracle_pipeline.live.robots import STRING, Robot
@@ -15,7 +16,7 @@ from tests.oracle_pipeline.live.robots import STRING, Robot
 
 @pytest.fixture
 def discovery(domain):
-    return Discovery(dds.join(domain))
+    return DdsDiscovery(dds.join(domain))
 
 
 def edges(discovery):

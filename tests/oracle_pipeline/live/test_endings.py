@@ -13,6 +13,7 @@ import pytest
 
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.run_directory import is_complete_recording
+from oracle_pipeline.live.domain import Domain
 from oracle_pipeline.live.events import MessageReceived, Note
 from oracle_pipeline.live.watch import Watch
 from oracle_pipeline.opened_run import open_run
@@ -109,7 +110,10 @@ def test_a_signal_ends_the_recording_properly(domain, speaker, eventually, tmp_p
 
 
 def test_an_error_in_the_program_keeps_the_recording(domain, speaker, tmp_path):
-    with contextlib.suppress(ZeroDivisionError), Watch(domain, folder=tmp_path, name="today") as w:
+    with (
+        contextlib.suppress(ZeroDivisionError),
+        Watch(Domain(domain), folder=tmp_path, name="today") as w,
+    ):
         for number, _ in enumerate(event for event in w if isinstance(event, MessageReceived)):
             1 / (3 - number)
     assert is_complete_recording(tmp_path / "today")
@@ -138,7 +142,7 @@ def test_a_clock_that_jumps_by_decades_begins_another_recording_and_nothing_else
     clock = Clock(speaker.robot, jumps_s=8.0)
     clock.start()
     begin = time.monotonic()
-    with Watch(domain, folder=tmp_path, name="today") as watch:
+    with Watch(Domain(domain), folder=tmp_path, name="today") as watch:
         notes = []
         for event in watch:
             notes += [event.text] if isinstance(event, Note) else []
@@ -159,7 +163,7 @@ def test_a_clock_that_jumps_by_decades_begins_another_recording_and_nothing_else
 def test_a_silent_clock_gives_way_to_wall_time(domain, speaker, tmp_path):
     writer = dds.RawWriter(speaker.robot.participant, "rt/clock", CLOCK_TYPE, CLOCK)
     begin_s = time.time()
-    with Watch(domain, folder=tmp_path, name="today") as watch:
+    with Watch(Domain(domain), folder=tmp_path, name="today") as watch:
         notes = []
         for event in watch:
             notes += [event.text] if isinstance(event, Note) else []

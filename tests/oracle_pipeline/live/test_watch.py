@@ -13,6 +13,7 @@ from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.graph_files import vertex_id
 from oracle_pipeline.bags.types import message_class, serialize, typestore
 from oracle_pipeline.features import build_manager, extract
+from oracle_pipeline.live.domain import Domain
 from oracle_pipeline.live.events import GraphTaken, MessageReceived, Note
 from oracle_pipeline.live.watch import Watch
 from oracle_pipeline.opened_run import open_run
@@ -74,7 +75,7 @@ def graphs(events):
 @pytest.mark.slow
 def test_messages_and_graphs_are_recorded_in_simulated_time(domain, speaker, tmp_path):
     speaker.start()
-    with Watch(domain, folder=tmp_path, name="today") as watch:
+    with Watch(Domain(domain), folder=tmp_path, name="today") as watch:
         events = watched(watch, lambda so_far: len(graphs(so_far)) == 2)
     assert watch.recordings == [tmp_path / "today"]
     received = Counter(event.topic for event in events if isinstance(event, MessageReceived))
@@ -95,7 +96,7 @@ def test_messages_and_graphs_are_recorded_in_simulated_time(domain, speaker, tmp
 @pytest.mark.slow
 def test_a_recording_ends_after_a_piece_and_the_next_begins(domain, speaker, tmp_path):
     speaker.start()
-    with Watch(domain, folder=tmp_path, name="today", piece_s=10.0) as watch:
+    with Watch(Domain(domain), folder=tmp_path, name="today", piece_s=10.0) as watch:
         events = watched(watch, lambda _: len(watch.recordings) == 4)
     kept = []
     for path in watch.recordings:
@@ -112,7 +113,7 @@ def test_a_watch_has_no_writer_on_the_domain(domain, speaker, tmp_path):
     speaker.start()
     own = dds.join(domain)
     builtin = dds.BuiltinReaders(own)
-    with Watch(domain, folder=tmp_path) as watch:
+    with Watch(Domain(domain), folder=tmp_path) as watch:
         watched(watch, lambda so_far: len(so_far) > 20)
         writers = {each.topic for each in builtin.publications() if each.alive}
         readers = {each.topic for each in builtin.subscriptions() if each.alive}
@@ -149,7 +150,7 @@ class Flood(threading.Thread):
 def test_every_message_is_recorded_or_counted_as_lost_and_timing_is_missing_then(domain, tmp_path):
     flood, numbers, notes = Flood(domain), [], []
     flood.start()
-    with Watch(domain, folder=tmp_path, name="today", queue_bytes=20_000) as watch:
+    with Watch(Domain(domain, 20_000), folder=tmp_path, name="today") as watch:
         for event in watch:
             if isinstance(event, MessageReceived):
                 numbers.append(int(typestore().deserialize_cdr(event.data, STRING).data))
@@ -191,7 +192,7 @@ def test_a_topic_of_an_unknown_type_is_reported_once_and_affects_no_other(domain
     stranger = dds.topic.Topic(other.participant, "rt/odd", _unknown_type())
     writer = dds.pub.DataWriter(other.participant, stranger)
     speaker.start()
-    with Watch(domain) as watch:
+    with Watch(Domain(domain)) as watch:
         events = watched(
             watch, lambda so_far: sum(isinstance(event, MessageReceived) for event in so_far) > 10
         )
@@ -208,7 +209,7 @@ def _unknown_type():
 @pytest.mark.slow
 def test_a_later_publisher_with_incompatible_qos_is_reported(domain, speaker):
     speaker.start()
-    with Watch(domain) as watch:
+    with Watch(Domain(domain)) as watch:
         late = []
 
         def until(events):
