@@ -173,6 +173,7 @@ soak: setup-dev ## Kill everything at random moments, fill the disk, flip bits, 
 	python -m tools.soak.flips
 	python -m tools.soak.budget
 	python -m tools.soak.watch
+	python -m tools.soak.topics
 	python -m tools.soak.watching
 
 clean: ## Remove the environment and all caches; recorded data stay

@@ -210,7 +210,7 @@ def trial(name: str, folder: Path, domain: int) -> Counter[str]:
     finally:
         sender.process.kill()
         watch.send_signal(signal.SIGINT)
-        watch.communicate(timeout=60)
+        watch.communicate(timeout=600)
     return account(folder) + Counter(grown=int(grown))
 
 
