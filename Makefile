@@ -53,7 +53,7 @@ $(VENV)/.compiled: $(VENV)/.ready
 
 # With what running needs, so that it is installed at once where there is nothing yet.
 $(VENV)/.ready-dev: pyproject.toml constraints.txt | $(BIN)/python
-	$(INSTALL) '.[dask,dev,dg,docs,live,logs,mcp,postgres,s3,search]'
+	$(INSTALL) '.[dask,dev,dg,docs,live,logs,mcp,postgres,s3,search,zenoh]'
 	@touch $(VENV)/.ready $@
 
 demo: setup ## Record a normal and an attacked run, and judge both by the shipped reference card

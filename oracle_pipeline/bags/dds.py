@@ -9,7 +9,6 @@ import atexit
 import contextlib
 import ctypes
 import functools
-import os
 import weakref
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -45,8 +44,6 @@ except ImportError as error:
         "`python -m pip install '.[live]'`."
     ) from error
 
-DOMAIN_VARIABLE = "ROS_DOMAIN_ID"  # environment variable with ROS 2's domain
-
 Participant: TypeAlias = domain.DomainParticipant
 
 _PRIMITIVES: dict[str, Any] = {
@@ -72,20 +69,6 @@ _INFINITE_NS = 2**63 - 1
 _SECOND_NS = 1_000_000_000
 _MOST_AT_ONCE = 256  # samples of a reader that are taken in one call
 _BY_INFO = 3  # DDS_TOPIC_FILTER_SAMPLEINFO_ARG: the filter gets no decoded message
-
-
-def default_domain() -> int:
-    """Return the domain that ROS 2 would use.
-
-    Raises
-    ------
-    DdsError
-        If ``ROS_DOMAIN_ID`` is not a number.
-    """
-    text = os.environ.get(DOMAIN_VARIABLE) or "0"
-    if not text.isdecimal():
-        raise DdsError(f"{DOMAIN_VARIABLE} is {text!r}; give a whole number from 0 on.")
-    return int(text)
 
 
 def join(number: int) -> Participant:

@@ -8,14 +8,32 @@ References
 .. [1] https://design.ros2.org/articles/topic_and_service_names.html
 """
 
+import os
 import re
 
+from oracle_pipeline.bags.errors import DdsError
+
+DOMAIN_VARIABLE = "ROS_DOMAIN_ID"  # environment variable with ROS 2's domain
 ENTITIES_TOPIC = "ros_discovery_info"  # on DDS: lists the endpoints of each node
 ENTITIES_TYPE = "rmw_dds_common/msg/ParticipantEntitiesInfo"
 
 _TOPIC_PREFIX = "rt"
 _TYPE = re.compile(r"(\w+)::(msg|srv|action)::dds_::(\w+)_")
 _HEADER = 4  # bytes: encoding, and options, of which the last two bits count padding bytes
+
+
+def default_domain() -> int:
+    """Return the domain that ROS 2 would use.
+
+    Raises
+    ------
+    DdsError
+        If ``ROS_DOMAIN_ID`` is not a number.
+    """
+    text = os.environ.get(DOMAIN_VARIABLE) or "0"
+    if not text.isdecimal():
+        raise DdsError(f"{DOMAIN_VARIABLE} is {text!r}; give a whole number from 0 on.")
+    return int(text)
 
 
 def dds_topic(topic: str) -> str:

@@ -8,20 +8,13 @@ import contextlib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability
-from rosbags.interfaces import QosTime as _QosTime
 from rosbags.typesys import Stores, get_typestore
 
 from oracle_pipeline.bags import dds, types
 from oracle_pipeline.bags.dds_names import ENTITIES_TOPIC, ENTITIES_TYPE, ros_topic, ros_type
-from oracle_pipeline.live.discovery import Discovery, Endpoint
+from oracle_pipeline.live.discovery import ENTITIES_QOS, Discovery, Endpoint
 
 _GUID = 16  # bytes; ROS 2 pads them to 24 up to Humble
-_NO_LIMIT = _QosTime(9223372036, 854775807)
-ENTITIES_QOS = Qos(
-    QosHistory.KEEP_ALL, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL,
-    _NO_LIMIT, _NO_LIMIT, QosLiveliness.AUTOMATIC, _NO_LIMIT, False,
-)  # fmt: skip
 
 
 class DdsDiscovery(Discovery):

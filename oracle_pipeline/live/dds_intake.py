@@ -15,7 +15,7 @@ from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.dds_names import dds_topic
 from oracle_pipeline.bags.errors import DdsError
 from oracle_pipeline.bags.qos_profiles import compatible
-from oracle_pipeline.live.dds_discovery import ENTITIES_QOS
+from oracle_pipeline.live.discovery import ENTITIES_QOS
 from oracle_pipeline.live.intake import PACKETS_S, QUEUE_BYTES, Intake, Received
 
 _DEPTH = 500  # history depth of a DDS reader
@@ -102,7 +102,5 @@ class DdsIntake(Intake):
     def _taken(self, reader: dds.RawReader) -> list[dds.Raw]:
         """Take from a reader, and count what it lost meanwhile."""
         before, taken = reader.lost, reader.take()
-        if lost := reader.lost - before:
-            with self._lock:
-                self._lost[self._names[reader]] += lost
+        self.count_lost(self._names[reader], reader.lost - before)
         return taken

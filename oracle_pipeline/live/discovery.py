@@ -7,9 +7,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-from rosbags.interfaces import Qos
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability
+from rosbags.interfaces import QosTime as _QosTime
 
 UNKNOWN_NODE = "/_NODE_NAME_UNKNOWN_"  # ROS 2's name for an endpoint that no node claims
+
+_NO_LIMIT = _QosTime(9223372036, 854775807)
+ENTITIES_QOS = Qos(
+    QosHistory.KEEP_ALL, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL,
+    _NO_LIMIT, _NO_LIMIT, QosLiveliness.AUTOMATIC, _NO_LIMIT, False,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -88,6 +88,12 @@ class Intake:
                     self._queue.append(received)
                     self._bytes += len(received.data)
 
+    def count_lost(self, topic: str, messages: int) -> None:
+        """Count messages of a topic that were lost on the way; any thread may call it."""
+        if messages > 0:
+            with self._lock:
+                self._lost[topic] += messages
+
     def lost(self) -> Counter[str]:
         """Return how many messages of each topic were lost since the last call."""
         with self._lock:

@@ -121,6 +121,7 @@ class Watch:
         self._latched: dict[str, deque[Stamped]] = {}
         self._time = RobotTime(simulated=False)
         self._segment: Segment | None = None
+        self._early = Disturbances()  # what was lost just before a segment
         self._pending: deque[Event] = deque()
 
     def stop(self) -> None:
@@ -269,7 +270,9 @@ class Watch:
         self.losses.add(new)
         if told := new.loss():
             self._pending.append(Note(told))
-        if self._segment is not None and (told or is_busy):
+        if self._segment is None:
+            self._early.add(new)
+        elif told or is_busy:
             self._segment.disturb(new)
 
     # Segments.
@@ -286,6 +289,9 @@ class Watch:
             self._report,
             None if self._black_box is None else self._turn,
         )
+        if self._early.loss():
+            self._segment.disturb(self._early)
+        self._early = Disturbances()
         for kept in self._latched.values():
             for message, _ in kept:
                 self._add(Stamped(message, start_ns))

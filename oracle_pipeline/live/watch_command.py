@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from oracle_pipeline.live.black_box import Keep
     from oracle_pipeline.live.events import Event
     from oracle_pipeline.live.page_server import LivePage
+    from oracle_pipeline.live.source import Source
     from oracle_pipeline.live.split_bag import Split
     from oracle_pipeline.live.watch import Watch
 
@@ -38,6 +39,10 @@ _PIECE_S = 120.0  # of each recording that a card is learned from
 @click.option(
     "--domain", type=click.IntRange(0, 232),
     help="DDS domain to watch.  [default: $ROS_DOMAIN_ID, else 0]",
+)  # fmt: skip
+@click.option(
+    "--zenoh", metavar="ENDPOINT",
+    help="Watch robots with rmw_zenoh behind this router, such as tcp/127.0.0.1:7447.",
 )  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
@@ -91,6 +96,7 @@ def watch(
     ctx: click.Context,
     reference: Path | None,
     domain: int | None,
+    zenoh: str | None,
     out: Path | None,
     learn: Path | None,
     split: "Split",
@@ -122,9 +128,9 @@ def watch(
         oracle watch --reference robot.card --out alarms/ --keep 60s+30s --keep-at-most 10GB
         oracle watch --learn robot.card --duration 3600
         oracle watch --reference robot.card --domain 7 --format json | jq .alarm
+        oracle watch --zenoh tcp/192.168.1.20:7447 --out recordings/
     """  # noqa: D301 -- click reads the control character
-    from oracle_pipeline.bags.dds import default_domain
-    from oracle_pipeline.live.domain import Domain
+    from oracle_pipeline.bags.dds_names import default_domain
     from oracle_pipeline.live.events import ContractAlarm, Kept, WindowAlarm
     from oracle_pipeline.live.watch import Watch
 
@@ -145,7 +151,7 @@ def watch(
         page = None if view is None else stack.enter_context(_page(view))
         watching = stack.enter_context(
             Watch(
-                Domain(number, service=keep_service if keep else ""),
+                _source(number, zenoh, keep_service if keep else ""),
                 card=reference,
                 folder=out,
                 name=name,
@@ -227,6 +233,17 @@ def _finish_leftovers(folder: Path) -> int:
         told = each.fault or f"{each.messages} messages are kept."
         click.echo(f"{each.path} was not completed. {told}", err=True)
     return faults
+
+
+def _source(domain: int, zenoh: str | None, service: str) -> "Source":
+    """Join a domain on DDS, or behind a Zenoh router."""
+    if zenoh is None:
+        from oracle_pipeline.live.domain import Domain
+
+        return Domain(domain, service=service)
+    from oracle_pipeline.live.zenoh_source import ZenohRouter
+
+    return ZenohRouter(zenoh, domain)
 
 
 def _begin_film(recording: Path) -> "subprocess.Popen[bytes]":

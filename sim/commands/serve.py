@@ -81,7 +81,7 @@ def serve(
 def _serve(
     mode: str, speed: float, domain: int | None, run: int, goals: int, out: Path | None, seed: int
 ) -> None:
-    from oracle_pipeline.bags.dds import default_domain
+    from oracle_pipeline.bags.dds_names import default_domain
 
     campaign = Campaign(seed=seed, goals_per_run=goals, timeout_s=_TIMEOUT_S * goals)
     recipe = recipe_for(mode, run, campaign)

@@ -14,6 +14,7 @@ from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.dds_names import (
     dds_topic,
     dds_type,
+    default_domain,
     from_wire,
     ros_topic,
     ros_type,
@@ -95,7 +96,7 @@ def test_a_profile_comes_back_from_dds():
 def test_an_invalid_domain_is_refused(monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", "seven")
     with pytest.raises(DdsError, match="seven"):
-        dds.default_domain()
+        default_domain()
 
 
 def test_malformed_packets_harm_nothing(domain):
