@@ -5,8 +5,7 @@ number, its time and its publisher, so what is lost on the way is counted.
 
 References
 ----------
-.. [1] https://github.com/ros2/rmw_zenoh, ``docs/design.md``, and ``liveliness_utils.cpp`` and
-   ``attachment_helpers.cpp`` in ``rmw_zenoh_cpp/src/detail``
+.. [1] https://github.com/ros2/rmw_zenoh, ``liveliness_utils.cpp`` and ``attachment_helpers.cpp``
 """
 
 import json
@@ -150,7 +149,7 @@ class ZenohRouter(Source):
         config.insert_json5("mode", '"client"')
         config.insert_json5("connect/endpoints", json.dumps([endpoint]))
         try:
-            self._session = zenoh.open(config)
+            self._session: Session = zenoh.open(config)
         except zenoh.ZError as error:
             raise OracleError(
                 f"There is no Zenoh router at {endpoint} ({error}); start it, or correct --zenoh."

@@ -79,7 +79,7 @@ class RecordedSystem(Discovery):
         self._nodes = {name: frozenset(of) for name, of in nodes.items()}
 
     def writer(self, topic: str) -> int:
-        """Return who sends the next message of a topic: whoever has most left of the interval."""
+        """Return who sends the next message of a topic: the one with most left to send."""
         left = self._left[topic]
         writer = max(left, key=left.__getitem__)
         left[writer] -= 1
