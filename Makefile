@@ -91,7 +91,7 @@ test-all: lint $(VENV)/.compiled
 
 # In one session, the tests share runs and processes.
 test-everything: $(VENV)/.ready-dev ## Run all tests at once, as continuous integration does; needs Chromium, cmake and a compiler
-	$(INSTALL) '.[browser]'
+	$(BIN)/python -c 'import playwright' 2>/dev/null || $(INSTALL) '.[browser]'
 	@$(MAKE) --no-print-directory --jobs=2 types test-all TESTS='tests/[!_]*/ tests/test_*.py'
 
 test-quick: setup-dev ## Run the tests that take less than a second each: while you work

@@ -17,7 +17,7 @@ from assets.webserver.server import main as oracle_ui
 from oracle_pipeline.cli import main as oracle
 from tests.recorded_runs import copied
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(4)
 
 REPOSITORY = Path(__file__).parent.parent
 BIN = Path(sys.executable).parent

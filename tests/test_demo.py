@@ -8,7 +8,7 @@ import pytest
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.scoring.card import ReferenceCard
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(6)
 
 SCRIPT = Path(__file__).parent.parent / "tools" / "scripts" / "demo.py"
 LARGEST = 9 * 2**19  # bytes of a tracked file: 40 runs, with the models of their signals

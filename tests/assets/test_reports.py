@@ -11,7 +11,7 @@ from oracle_pipeline.reporting.stored_report import Report
 from tests.assets.laboratory import ATTACKED, CONTROL, EVERYTHING, KEYS, PER_RUN, Laboratory
 from tests.oracle_pipeline.evaluation.thesis_runs import thesis_runs
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(3)
 
 AGGREGATES = [asset for asset in EVERYTHING if asset not in PER_RUN]
 

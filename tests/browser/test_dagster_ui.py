@@ -14,6 +14,8 @@ from oracle_pipeline.bags.layout import report_page
 from tests.browser.chromium import CHROMIUM
 from tests.ui import WebServer, pipeline_ui
 
+pytestmark = pytest.mark.slow(50)
+
 MODE, FINE, DAMAGED = "random_noise", "run000", "run001"
 PATIENCE_MS = 120_000  # until what happens elsewhere shows on a page of a busy machine
 

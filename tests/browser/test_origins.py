@@ -9,6 +9,8 @@ from playwright.sync_api import sync_playwright
 from tests.browser.chromium import CHROMIUM
 from tests.ui import LAUNCH, web_server
 
+pytestmark = pytest.mark.slow(10)
+
 ATTACK = """<!doctype html><title>attack</title><body><script>
 const target = "TARGET", query = QUERY, body = JSON.stringify({query});
 const tries = [

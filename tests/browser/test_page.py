@@ -13,6 +13,8 @@ from tests.browser.chromium import CHROMIUM
 from tests.oracle_pipeline.reporting.pages import large_page, poor_page, whole_page
 from tests.oracle_pipeline.reporting.test_run_pages import ATTACKED, shown_runs
 
+pytestmark = pytest.mark.slow
+
 DESK, PHONE = {"width": 1280, "height": 800}, {"width": 360, "height": 780}
 PAPER = {"width": 687, "height": 1010}  # A4 less its margins, at 96 pixels an inch
 

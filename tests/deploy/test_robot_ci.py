@@ -13,7 +13,7 @@ import yaml
 from tests.docs.pages import REPOSITORY
 from tests.recorded_runs import RecordedRuns, linked
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(40)
 
 ACTION = yaml.safe_load((REPOSITORY / "action.yml").read_text("utf-8"))
 JOB = yaml.safe_load((REPOSITORY / "deploy/gitlab-ci.yml").read_text("utf-8"))[".behaviour"]

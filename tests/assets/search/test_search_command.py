@@ -28,7 +28,7 @@ from sim.modes import find_mode, modes
 from sim.pairs import CONTROL
 from tests.recorded_runs import RecordedRuns, linked
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(5)
 
 OF_SEARCH = Campaign(goals_per_run=1, timeout_s=120.0)  # the command's own limit
 

@@ -27,7 +27,7 @@ def compare(*arguments: object) -> Result:
     return CliRunner().invoke(main, ["compare", *map(str, arguments)])
 
 
-@pytest.mark.slow
+@pytest.mark.slow(18)
 def test_attacked_runs_differ_from_normal_ones_and_the_files_have_the_differences(
     sets: dict[str, Path], tmp_path: Path
 ) -> None:

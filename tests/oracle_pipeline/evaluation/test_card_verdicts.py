@@ -67,7 +67,7 @@ def test_no_card_has_seen_the_block_of_a_run_that_it_judges(campaign, judged):
     odd = campaign.features.copy()
     first = np.flatnonzero(fold.test)[0]
     odd.loc[first, ["structural.entropy", "contextual.yaw_variance"]] = 1e6
-    again = card_verdicts(replace(campaign, features=odd), folds)
+    again = card_verdicts(replace(campaign, features=odd), [fold])
     others = [row for row in np.flatnonzero(fold.test) if row != first]
     assert all(again.verdicts[row] == judged.verdicts[row] for row in others)
     for each in folds:
@@ -84,18 +84,16 @@ def test_the_exit_code_is_that_of_the_command(campaign, judged):
 
 
 def test_a_breach_alone_gives_exit_code_1_and_no_contract_is_learned_from_some_runs(campaign):
-    folds = card_folds(campaign.features, 0)
-    all_right = dict.fromkeys(campaign.features["run_id"], RIGHT)
-    intruded = all_right | {"lidar_passthrough|run003": WRONG}
-    row = campaign.features["run_id"].tolist().index("lidar_passthrough|run003")
-    found = card_verdicts(campaign, folds, intruded)
+    runs = campaign.features["run_id"].tolist()
+    intruded = dict.fromkeys(runs, RIGHT) | {"lidar_passthrough|run003": WRONG}
+    row = runs.index("lidar_passthrough|run003")
+    tested = next(fold for fold in card_folds(campaign.features, 0) if fold.test[row])
+    found = card_verdicts(campaign, [tested], intruded)
     assert found.verdicts[row].contract == ("Node /intruder is new.",)
     assert found.exits()[row] == 1.0
-    some = {run: seen for run, seen in intruded.items() if run != "benign_noise|run009"}
-    of_some = card_verdicts(campaign, folds, some)
-    tested = next(fold for fold in folds if fold.test[row])
-    lacks = not tested.test[campaign.features["run_id"].tolist().index("benign_noise|run009")]
-    assert (of_some.verdicts[row].contract == ()) == lacks
+    learned_from = runs[np.flatnonzero(tested.fit)[0]]
+    some = {run: seen for run, seen in intruded.items() if run != learned_from}
+    assert card_verdicts(campaign, [tested], some).verdicts[row].contract == ()
 
 
 def test_five_sessions_are_held_out_whole_and_few_blocks_share_one_card():

@@ -21,7 +21,7 @@ from sim.middleware.qos import CLOCK
 from tests.oracle_pipeline.live.robots import TEXT, Robot
 from tests.oracle_pipeline.live.test_watch import CLOCK_TYPE, tick
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(4)
 
 ORACLE = Path(sys.executable).with_name("oracle")
 WORDS = "/words"

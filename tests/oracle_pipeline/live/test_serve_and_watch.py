@@ -15,7 +15,7 @@ from oracle_pipeline.features import build_manager, extract
 from oracle_pipeline.opened_run import open_run
 from tests.servers import end_with_parent
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(8)
 
 BIN = Path(sys.executable).parent
 SPEED = "2"  # what takes a millisecond on the way is 2 ms late by the robot's clock

@@ -15,7 +15,7 @@ from tests.oracle_pipeline.reporting.pages import (
     whole_page,
 )
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(2)
 
 VOID = {"meta", "img", "link", "br"}
 FIRST = ["recorded", "found", "open"]

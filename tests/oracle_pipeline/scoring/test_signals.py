@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from oracle_pipeline.cli import main
 
-NORMALS, TESTED = 20, 12
+NORMALS, TESTED = 12, 8
 MOTORS = 4
 
 
