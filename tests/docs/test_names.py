@@ -2,9 +2,7 @@
 
 import re
 
-import pytest
-
-from tests.docs.pages import DOCS, PAGES, REPOSITORY, blocks, name
+from tests.docs.pages import DOCS, PAGES, REPOSITORY, blocks
 
 GENERATED = {"deploy/requirements.txt"}  # by make, and not committed
 FOLDERS = ("assets", "deploy", "examples", "oracle_pipeline", "resources", "sim", "tools")
@@ -34,13 +32,13 @@ def test_code_names_pages_that_exist():
     assert {each for each in named if not (REPOSITORY / each[0]).is_file()} == set()
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name)
-def test_pages_name_files_and_modules_that_exist(page):
-    text = page.read_text("utf-8")
-    files = re.findall(rf"`((?:docs|tests|{'|'.join(FOLDERS)})/[^`*< ]+)[` ]", text)
-    modules = re.findall(rf"`((?:{'|'.join(FOLDERS)})(?:\.\w+)+)`", text)
-    assert {file for file in files if not (REPOSITORY / file).exists()} <= GENERATED
-    assert [module for module in modules if not is_module(module)] == []
+def test_pages_name_files_and_modules_that_exist():
+    for page in PAGES:
+        text = page.read_text("utf-8")
+        files = re.findall(rf"`((?:docs|tests|{'|'.join(FOLDERS)})/[^`*< ]+)[` ]", text)
+        modules = re.findall(rf"`((?:{'|'.join(FOLDERS)})(?:\.\w+)+)`", text)
+        assert {file for file in files if not (REPOSITORY / file).exists()} <= GENERATED, page
+        assert [module for module in modules if not is_module(module)] == [], page
 
 
 def test_terms_of_the_glossary_are_defined_once():

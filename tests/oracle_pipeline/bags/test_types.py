@@ -93,16 +93,17 @@ def test_every_known_message_is_decoded_by_a_decoder_that_is_not_rosbags(tmp_pat
     assert decoded["nav2_msgs/msg/Costmap"].metadata.origin.orientation.w == 0.0
 
 
-@pytest.mark.parametrize("msgtype", [name for name in ALL_TYPES if "/msg/" not in name])
-def test_definitions_of_actions_and_services_are_complete(msgtype, zero_message):
+def test_definitions_of_actions_and_services_are_complete(zero_message):
     # That decoder refuses the underscore in the names of these types, so it gets them without.
     def plain(text):
         return re.sub(r"(?<=[A-Za-z])_(?=[A-Z])", "", text)
 
-    decode = generate_dynamic(plain(msgtype), plain(definition(msgtype)))[plain(msgtype)]
-    message = decode(serialize(zero_message(msgtype), msgtype))
-    fields = [name for name, _ in typestore().fielddefs[msgtype][1]]
-    assert message.__slots__ == [f for f in fields if f != "structure_needs_at_least_one_member"]
+    for msgtype in (name for name in ALL_TYPES if "/msg/" not in name):
+        decode = generate_dynamic(plain(msgtype), plain(definition(msgtype)))[plain(msgtype)]
+        message = decode(serialize(zero_message(msgtype), msgtype))
+        fields = [name for name, _ in typestore().fielddefs[msgtype][1]]
+        placeholder = "structure_needs_at_least_one_member"
+        assert message.__slots__ == [field for field in fields if field != placeholder]
 
 
 def test_an_action_part_without_fields_is_one_byte():

@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -56,18 +55,18 @@ def leaves(value, way=()):
         yield way, bits
 
 
-@pytest.mark.parametrize("name", TYPES)
-def test_one_value_of_any_message_type_is_changed_and_the_result_can_be_sent(name):
-    kind = message_type(name)
-    whole = filled(kind)
-    before = data(whole)
-    mutator = FieldMutator.of(kind, [], KINDS)
-    for seed in range(8):
-        mutant, _, text = mutator(whole, np.random.default_rng(seed))
-        changed = dict(leaves(mutant)).items() ^ dict(leaves(whole)).items()
-        assert len({way for way, _ in changed}) == 1, text
-        assert data(deserialize(data(mutant), name)) == data(mutant)
-    assert data(whole) == before
+def test_one_value_of_any_message_type_is_changed_and_the_result_can_be_sent():
+    for name in TYPES:
+        kind = message_type(name)
+        whole = filled(kind)
+        before = data(whole)
+        mutator = FieldMutator.of(kind, [], KINDS)
+        for seed in range(8):
+            mutant, _, text = mutator(whole, np.random.default_rng(seed))
+            changed = dict(leaves(mutant)).items() ^ dict(leaves(whole)).items()
+            assert len({way for way, _ in changed}) == 1, (name, text)
+            assert data(deserialize(data(mutant), name)) == data(mutant)
+        assert data(whole) == before
 
 
 @given(seeds)
