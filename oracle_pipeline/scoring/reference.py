@@ -55,7 +55,7 @@ class Reference:
     def recordings(self) -> NDArray[np.intp]:
         """Number of each row's recording, from 0: robots of one recording share it."""
         names = self.table["run_id"].map(recording_of)
-        numbers = self.table.groupby([names, "block"], sort=False).ngroup()
+        numbers = self.table[["block"]].groupby([names, "block"], sort=False).ngroup()
         return np.asarray(numbers, dtype=np.intp)
 
 
