@@ -11,6 +11,10 @@ from oracle_pipeline.evaluation.card_verdicts import CardVerdicts
 from oracle_pipeline.evaluation.comparisons import ComparedRuns
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.metrics import events_per_hour, quantile, share
+from oracle_pipeline.windows import WINDOW_S
+
+# Features of windows are means and 95th percentiles over their messages.
+LEAST_SHARE = 0.05
 
 
 def times_to_detect(
@@ -18,7 +22,8 @@ def times_to_detect(
 ) -> NDArray[np.float64]:
     """Return seconds from an event to the end of the first window with an alarm, (n_runs,).
 
-    Alarms before the event do not count. Infinite for a missed attack; NaN for a normal run.
+    An alarm counts if the attack takes at least `LEAST_SHARE` of its window, as less moves no
+    feature. Infinite for a missed attack; NaN for a normal run.
 
     Parameters
     ----------
@@ -31,9 +36,10 @@ def times_to_detect(
     first = np.where(attacked, np.inf, np.nan)
     for row, verdict in enumerate(judged.verdicts):
         alarms_s = [] if verdict is None else [alarm.time_s for alarm in verdict.alarms]
-        late_s = [time_s - since_s[row] for time_s in alarms_s if time_s > since_s[row]]
-        if attacked[row] and late_s:
-            first[row] = min(late_s)
+        late_s = np.array([time_s - since_s[row] for time_s in alarms_s])
+        caused_s = late_s[late_s >= LEAST_SHARE * WINDOW_S]
+        if attacked[row] and len(caused_s):
+            first[row] = caused_s.min()
     return first
 
 

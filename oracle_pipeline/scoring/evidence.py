@@ -36,7 +36,9 @@ def evidence(tables: FeatureTables, reference: pd.DataFrame) -> tuple[Evidence, 
 
 
 def farthest_features(
-    deviations: Sequence[Deviation], tables: FeatureTables, usual: Mapping[str, float] | None = None
+    deviations: Sequence[Deviation],
+    tables: FeatureTables,
+    normal: Mapping[str, NormalRange] | None = None,
 ) -> tuple[Evidence, ...]:
     """Return the first few of a recording's ranked deviations, with place and time.
 
@@ -44,12 +46,13 @@ def farthest_features(
     ----------
     deviations : sequence of Deviation
     tables : FeatureTables
-    usual : mapping of str to float, optional
-        Usual value of a feature in a window; by default the median of these windows.
+    normal : mapping of str to NormalRange, optional
+        Range of a feature in normal windows; by default the median of these windows is usual, and
+        all else is outside.
     """
-    where, usual = json.loads(tables.run[WHERE].iloc[0]), usual or {}
+    where, normal = json.loads(tables.run[WHERE].iloc[0]), normal or {}
     spans = {
-        each: _span(each, tables.windows, usual.get(each.feature)) for each in deviations[:SHOWN]
+        each: _span(each, tables.windows, normal.get(each.feature)) for each in deviations[:SHOWN]
     }
     return tuple(
         Evidence(
@@ -81,35 +84,38 @@ def window_series(
     normal : mapping of str to NormalRange
         Range of a feature in normal windows.
     """
-    return tuple(
-        WindowSeries(
-            each.feature,
-            each.unit,
-            tuple(windows[WINDOW_START].tolist()),
-            tuple(v if math.isfinite(v) else None for v in windows[each.feature].tolist()),
-            normal[each.feature].low,
-            normal[each.feature].high,
-        )
-        for each in evidence
-        if each.feature in normal and each.feature in windows.columns
-    )
+    starts = tuple(windows[WINDOW_START].tolist())
+    found = []
+    for each in evidence:
+        if each.feature in normal and each.feature in windows.columns:
+            values = [v if math.isfinite(v) else None for v in windows[each.feature].tolist()]
+            known = [value for value in values if value is not None]
+            low, usual, high = normal[each.feature]
+            if math.isinf(high):  # as far as the values reach
+                low, high = min([usual, *known]), max([usual, *known])
+            found.append(WindowSeries(each.feature, each.unit, starts, tuple(values), low, high))
+    return tuple(found)
 
 
 def _span(
-    deviation: Deviation, windows: pd.DataFrame, usual: float | None
+    deviation: Deviation, windows: pd.DataFrame, normal: NormalRange | None
 ) -> tuple[float | None, float | None]:
     """Return start and end of the change around the window that deviates most [s].
 
-    Windows overlap by half. What the first unusual window shares with the usual one before it does
-    not show the change, so the change begins in its second half.
+    A change lasts while windows are outside the range of normal windows, and at least half as far
+    from usual as the farthest. Windows overlap by half. What the first unusual window shares with
+    the usual one before it does not show the change, so the change begins in its second half.
 
-    The start is None if no window deviates in the direction of the whole recording, or all are
+    The start is None if no window is outside in the direction of the whole recording, or all are
     equal; the end is None if the change lasts to the end of the recording.
     """
     if deviation.feature not in windows.columns or windows[deviation.feature].nunique() < 2:
         return None, None
     values = windows[deviation.feature].to_numpy(dtype=np.float64)
-    distance = np.sign(deviation.z) * (values - (np.nanmedian(values) if usual is None else usual))
+    middle = float(np.nanmedian(values))
+    low, usual, high = normal or NormalRange(middle, middle, middle)
+    distance = np.sign(deviation.z) * (values - usual)
+    distance[(low <= values) & (values <= high)] = 0.0
     farthest = int(np.nanargmax(distance))
     if distance[farthest] <= 0.0:
         return None, None

@@ -292,8 +292,7 @@ def _scored(
     if signals:
         deviations += explain(others, tables.run, signals, SignalScaler)
     normal = card.scorer.scorers_[0].normal_in_windows
-    usual = {column: of_windows.usual for column, of_windows in normal.items()}
-    evidence = farthest_features(deviations, tables, usual)
+    evidence = farthest_features(deviations, tables, normal)
     return replace(
         verdict,
         features=len(columns),

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 
+from oracle_pipeline.clustering.scaling import CLIP
 from oracle_pipeline.datasets import topic_of_signal
 from oracle_pipeline.detectors import (
     BeyondRange,
@@ -165,12 +166,16 @@ class RunScorer:
 
     @property
     def normal_in_windows(self) -> dict[str, NormalRange]:
-        """The range of each column in normal windows; signals reach `LEAST_REACH` scales."""
+        """The range of each column in normal windows; signals reach `LEAST_REACH` scales.
+
+        It has no bounds where normal windows reach the largest distance that counts.
+        """
         ranges: dict[str, NormalRange] = {}
         for level, model in self.models_.items():
             if level in OF_WINDOWS:
                 scaler = model[0]
                 reach = self.reach_[: len(scaler.kept_)] if level == "windows" else LEAST_REACH
+                reach = np.where(reach >= CLIP, np.inf, reach)
                 spread = scaler.scale_ * np.where(getattr(scaler, "is_constant_", False), 0, reach)
                 ends = zip(scaler.center_ - spread, scaler.center_, scaler.center_ + spread,
                            strict=True)  # fmt: skip

@@ -29,6 +29,11 @@ def test_time_to_detect_is_from_onset_to_the_end_of_the_first_window_with_an_ala
     late = times_to_detect(verdicts, JUDGED, JUDGED.onset_s)  # 5 s is too early
     assert late[:2].tolist() == [8.0, np.inf]
     assert np.isnan(late[2])
+    barely = CardVerdicts((raising(17.2), raising(17.3), raising()))  # of windows from 12.2 s on
+    assert times_to_detect(barely, JUDGED, JUDGED.onset_s)[:2].tolist() == [
+        np.inf,
+        pytest.approx(0.3),
+    ]
 
 
 def test_an_attack_takes_effect_when_it_first_changes_a_message():

@@ -1,20 +1,25 @@
 """The time of evidence is that of the change, as far as windows that overlap can tell."""
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from oracle_pipeline.detectors import Deviation
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.evidence import farthest_features
+from oracle_pipeline.scoring.run_scorer import NormalRange
 
 SPEED = "contextual.speed"
 
 
-def span(values, z=9.0, usual=1.0):
+NORMAL = NormalRange(0.8, 1.0, 1.2)
+
+
+def span(values, z=9.0, normal=NORMAL):
     windows = pd.DataFrame({SPEED: values, "window_start_s": [2.5 * n for n in range(len(values))]})
     run = pd.DataFrame({SPEED: [3.0], "where": ["{}"]})
     deviation = Deviation(SPEED, z, False, 3.0, 1.0, 0.9, 1.1, "m/s")
-    (found,) = farthest_features([deviation], FeatureTables(run, windows), {SPEED: usual})
+    (found,) = farthest_features([deviation], FeatureTables(run, windows), {SPEED: normal})
     return found.window_start_s, found.window_end_s
 
 
@@ -35,3 +40,17 @@ def test_evidence_lies_where_the_feature_is_at_least_half_as_far_as_at_most(valu
     assert span(values) == expected
     mirrored = [2.0 - value for value in values]
     assert span(mirrored, z=-9.0) == expected
+
+
+@pytest.mark.parametrize(
+    ("values", "normal", "expected"),
+    [
+        ([2.0, 2.0, 4.0, 4.0], NormalRange(0.0, 1.0, 3.0), (7.5, None)),  # 2 is half as far
+        ([2.0, 2.0, 3.0, 3.0], NormalRange(0.0, 1.0, 3.0), (None, None)),
+        ([2.0, 2.0, 9.0, 9.0], NormalRange(-np.inf, 1.0, np.inf), (None, None)),
+    ],
+)
+def test_evidence_does_not_lie_where_normal_windows_are_as_far(values, normal, expected):
+    assert span(values, normal=normal) == expected
+    mirrored = [2.0 - value for value in values]
+    assert span(mirrored, -9.0, NormalRange(2.0 - normal.high, 1.0, 2.0 - normal.low)) == expected
