@@ -24,7 +24,7 @@ PIP_VERSION := 26.3
 INSTALL = $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help setup setup-dev demo demo-card run campaign ui test test-everything test-quick test-browser test-compiled lint types size architecture docs \
+.PHONY: help setup setup-dev demo demo-card found-attacks run campaign ui test test-everything test-quick test-browser test-compiled lint types size architecture docs \
 	pictures wheel install-check bench ros1 soak constraints requirements image sbom clean
 .DEFAULT_GOAL := help
 
@@ -64,6 +64,9 @@ demo-card: setup ## Learn the demo's reference card again, after a change of sim
 	oracle-sim record -m lidar_passthrough_odom -n 40 --goals 1 --refresh \
 		--out $${ORACLE_HOME:-data}/demo-card
 	oracle learn $${ORACLE_HOME:-data}/demo-card --output examples/demo/normal.card
+
+found-attacks: setup-dev ## Score the attacks that searches found; move those that are caught
+	python -m tools.scripts.found_attacks
 
 # Dagster 1.13 warns that `dg launch`, which needs a further package, does the same.
 run campaign: export PYTHONWARNINGS = ignore:Function `asset_materialize_command` is superseded

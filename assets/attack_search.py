@@ -98,7 +98,7 @@ def search_scenario(
     inbox: Inbox,
 ) -> Iterator[dg.AssetMaterialization | dg.Output[None]]:
     """Search the scenario of the partition; an existing search is continued."""
-    from assets.search.outcome import PICTURE, is_miss, save
+    from assets.search.outcome import PICTURE, save
     from assets.search.search import CONTROLS, Search, SearchSettings, TrialBudget, attacks
 
     name = context.partition_key
@@ -114,7 +114,7 @@ def search_scenario(
         space = attacks(name, controls, settings)
         search = Search(folder, space, settings, controls, settings.campaign.seed)
         for finding in search.run(budget, fleet.workers, context.log.warning):
-            if is_miss(finding, config.far):
+            if finding.is_miss:
                 context.log.info(f"Miss: trial {finding.proposal.run}, effect {finding.effect:.2g}")
         findings, corpus = search.findings, layout.search_corpus(store.path)
         files = save(folder, findings, search.front, config.far, corpus)

@@ -41,6 +41,7 @@ STEPS: Mapping[str, float] = {
 }
 NEAREST_M = 0.02  # smallest clearance that counts as keeping clear
 LATEST = 2.0  # longest time that counts as in time, in units of the control's time
+FEATURES = "features"  # what a verdict holds against a recording by its p-value
 MOVED_SCALES = 3.0  # difference from the control from which a feature counts as changed
 
 
@@ -85,6 +86,9 @@ class Finding:
         longer finite.
     score, p_value : float
         As from `oracle score`.
+    passed : bool
+        Whether the whole verdict tells nothing that it does not tell of the run without the attack:
+        no unusual features, breach, alarm, tampering or misbehaviour.
     families : tuple of str
         Families of features outside their usual range, the farthest first.
     moved : tuple of str
@@ -100,6 +104,7 @@ class Finding:
     magnitude: float | None
     score: float
     p_value: float
+    passed: bool
     families: tuple[str, ...]
     moved: tuple[str, ...]
 
@@ -107,6 +112,11 @@ class Finding:
     def has_effect(self) -> bool:
         """Whether the attack changed the robot's task significantly."""
         return self.effect >= 1.0
+
+    @property
+    def is_miss(self) -> bool:
+        """Whether the run had an effect that the oracle misses."""
+        return self.has_effect and self.passed
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +159,7 @@ class ClosedLoop:
                 altered = Job(mode, Path(folder, "altered"), proposal.run, proposal.block)
                 manifest = derive_mutant(self._control(proposal).path.parent, False, altered)
                 judged = self._judge(altered.directory)
-                if judged.verdict.outcome == "anomalous":
+                if not self._passes(judged.verdict, proposal):
                     return self._finding(proposal, manifest, judged, ran=False)
             run = Job(mode, Path(folder, "closed_loop"), proposal.run, proposal.block)
             manifest = record_job(self.campaign, False, run)
@@ -159,9 +169,12 @@ class ClosedLoop:
         return RunDirectory(self.controls, CONTROL, proposal.block)
 
     def _judge(self, directory: RunDirectory) -> "_JudgedRecording":
-        ours = _extracted(directory, self.card)
-        verdict = judge(directory.key, ours.tables, _card(self.card), self.far, ours.observation)
-        return _JudgedRecording(ours.tables, verdict)
+        return _judged(directory, self.card, self.far)
+
+    def _passes(self, verdict: Verdict, proposal: Proposal) -> bool:
+        held = against(verdict, self.far)
+        usual = _against_control(self._control(proposal), self.card, self.far)
+        return FEATURES not in held and held <= usual
 
     def _finding(
         self, proposal: Proposal, manifest: Manifest, judged: "_JudgedRecording", *, ran: bool
@@ -185,6 +198,7 @@ class ClosedLoop:
             magnitude=None if None in largest else max(filter(None, largest), default=0.0),
             score=verdict.score,
             p_value=verdict.p_value,
+            passed=self._passes(verdict, proposal),
             families=tuple(each.family for each in verdict.families if each.unusual),
             moved=_moved(judged.tables.run, control, self.card),
         )
@@ -195,6 +209,28 @@ class _JudgedRecording(NamedTuple):
 
     tables: FeatureTables
     verdict: Verdict
+
+
+def _judged(directory: RunDirectory, card: Path, far: float) -> _JudgedRecording:
+    ours = _extracted(directory, card)
+    verdict = judge(directory.key, ours.tables, _card(card), far, ours.observation)
+    return _JudgedRecording(ours.tables, verdict)
+
+
+def against(verdict: Verdict, far: float) -> set[str]:
+    """Return all that a verdict holds against a recording."""
+    held = {f"contract: {line}" for line in verdict.contract}
+    held |= {name for name, aspect in verdict.aspects.items() if aspect.p_value <= far}
+    if verdict.alarms:
+        held.add("alarms")
+    if verdict.p_value is None or verdict.p_value <= far:
+        held.add(FEATURES)
+    return held
+
+
+@functools.cache
+def _against_control(control: RunDirectory, card: Path, far: float) -> set[str]:
+    return against(_judged(control, card, far).verdict, far)
 
 
 def task_effects(attacked: Manifest, control: Manifest) -> dict[str, tuple[float, float]]:

@@ -139,7 +139,7 @@ def search(
         space = attacks(template, controls, settings)
         click.echo(f"Varying {space.text}. Searching for {OBJECTIVES[objective].text}.")
         search = Search(out, space, settings, controls, of_runs.seed)
-        _follow(search.run(limit, workers, _print_failure), far)
+        _follow(search.run(limit, workers, _print_failure))
         findings = search.findings
         files = save(out, findings, search.front, far, corpus or out / MISSES)
     click.echo(
@@ -151,13 +151,12 @@ def search(
     click.echo(f"Picture: {out / PICTURE}")
 
 
-def _follow(trials: "Iterator[Finding]", far: float) -> None:
+def _follow(trials: "Iterator[Finding]") -> None:
     """Print each miss when it is found."""
-    from assets.search.outcome import is_miss
     from oracle_pipeline.bags.terminal import progress_bar
 
     for finding in progress_bar(trials, unit="trial"):
-        if is_miss(finding, far):
+        if finding.is_miss:
             values = ", ".join(
                 f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
                 for key, value in finding.proposal.values.items()

@@ -32,7 +32,7 @@ class Objective:
     """
 
     directions: tuple[Direction, ...]
-    values: Callable[[Finding, float], tuple[float, ...]]
+    values: Callable[[Finding], tuple[float, ...]]
     text: str
     wants_detected: bool = False
     screens: bool = False
@@ -48,14 +48,14 @@ def _symlog(value: float) -> float:
     return math.copysign(math.log1p(abs(value)), value)
 
 
-def _evasion(finding: Finding, far: float) -> tuple[float, float]:
+def _evasion(finding: Finding) -> tuple[float, float]:
     """Return the bounded effect, and how clearly the oracle detects the run.
 
     Without bounds, the front would consist of stuck robots, which every oracle detects, and of
     attacks without an effect.
     """
     effect = min(_ordered(finding.effect), _ENOUGH)
-    return effect, 0.0 if finding.p_value > far else _symlog(finding.score)
+    return effect, 0.0 if finding.passed else _symlog(finding.score)
 
 
 OBJECTIVES: Mapping[ObjectiveName, Objective] = {
@@ -67,12 +67,12 @@ OBJECTIVES: Mapping[ObjectiveName, Objective] = {
     ),
     "break": Objective(
         ("minimize",),
-        lambda finding, _: (_ordered(finding.margin),),
+        lambda finding: (_ordered(finding.margin),),
         "the clearest violation of a property: goals reached, clear of obstacles, in time",
     ),
     "boundary": Objective(
         ("minimize",),
-        lambda finding, _: (_ordered(finding.magnitude),),
+        lambda finding: (_ordered(finding.magnitude),),
         "the smallest change of a message that is detected",
         wants_detected=True,
     ),

@@ -19,14 +19,9 @@ UNALTERED = "unaltered"  # the built-in scenario of normal runs without a node
 _HIGHEST = 8.0  # effects above this are drawn at the edge
 
 
-def is_miss(finding: Finding, far: float) -> bool:
-    """Return whether a run had an effect that the oracle misses."""
-    return finding.has_effect and finding.p_value > far
-
-
-def misses(findings: Sequence[Finding], far: float) -> list[Finding]:
+def misses(findings: Sequence[Finding]) -> list[Finding]:
     """Return the runs with an effect that the oracle misses, the largest effect first."""
-    return sorted((each for each in findings if is_miss(each, far)), key=lambda each: -each.effect)
+    return sorted((each for each in findings if each.is_miss), key=lambda each: -each.effect)
 
 
 def save(
@@ -45,9 +40,9 @@ def save(
         "findings": [dataclasses.asdict(each) for each in findings],
     }
     (folder / FINDINGS).write_text(json.dumps(document, indent=1) + "\n", "utf-8")
-    (folder / PICTURE).write_bytes(picture(findings, front, far))
+    (folder / PICTURE).write_bytes(picture(findings, front))
     corpus.mkdir(parents=True, exist_ok=True)
-    found, written = misses(findings, far), []
+    found, written = misses(findings), []
     for miss in found:
         name = f"{miss.proposal.document['id']}_miss{miss.proposal.run:03d}"
         path = corpus / f"{name}.yaml"
@@ -78,13 +73,13 @@ def _as_yaml(document: Mapping[str, Any]) -> str:
     return yaml.safe_dump(dict(document), sort_keys=False, allow_unicode=True)
 
 
-def picture(findings: Sequence[Finding], front: Sequence[Finding], far: float) -> bytes:
+def picture(findings: Sequence[Finding], front: Sequence[Finding]) -> bytes:
     """Draw effect over score, as PNG bytes; misses are at the upper left."""
     screened = [each for each in findings if each.screened_out]
     ran = [each for each in findings if not each.screened_out]
     groups = [
-        ("missed by the oracle", COLORS["malicious"], "^", [f for f in ran if f.p_value > far]),
-        ("detected", COLORS["normal"], "o", [f for f in ran if f.p_value <= far]),
+        ("missed by the oracle", COLORS["malicious"], "^", [f for f in ran if f.passed]),
+        ("detected", COLORS["normal"], "o", [f for f in ran if not f.passed]),
         ("detected before it was run", INK, "x", screened),
     ]
     with drawing(6.0, 3.6) as (axes, png):

@@ -218,11 +218,10 @@ class Search:
         return Proposal(trial.number, block, attack.document, attack.values)
 
     def _learn(self, trial: optuna.Trial, finding: Finding) -> Finding:
-        far = self._settings.far
         trial.set_user_attr(_FINDING, dataclasses.asdict(finding))
         if self._objective.wants_detected:
-            trial.set_constraint("p-value over rate", finding.p_value - far)
-        self._study.tell(trial, self._objective.values(finding, far))
+            trial.set_constraint("p-value over rate", finding.p_value - self._settings.far)
+        self._study.tell(trial, self._objective.values(finding))
         return finding
 
 
@@ -239,4 +238,9 @@ def _sampler(name: Sampler, seed: int) -> BaseSampler:
 
 def _from_dict(document: Mapping[str, Any]) -> Finding:
     lists = {name: tuple(document[name]) for name in ("families", "moved", "violated")}
-    return Finding(**{**document, **lists, "proposal": Proposal(**document["proposal"])})
+    try:
+        return Finding(**{**document, **lists, "proposal": Proposal(**document["proposal"])})
+    except TypeError as error:
+        raise SearchError(
+            "the search was begun with another release; choose another folder."
+        ) from error

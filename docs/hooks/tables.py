@@ -1,7 +1,7 @@
 """An MkDocs hook that puts tables of what the code has into the pages.
 
-A line ``<!-- table: features -->`` becomes the table of all built-in features, and
-``<!-- table: manifest -->`` those of the fields of a manifest.
+A line ``<!-- table: features -->`` becomes the table of all built-in features. ``manifest`` names
+those of the fields of a manifest, ``found_attacks`` that of the attacks that searches found.
 """
 
 import json
@@ -14,6 +14,7 @@ from oracle_pipeline import features
 from oracle_pipeline.bags import run_directory
 
 MARK = re.compile(r"^<!-- table: (\w+) -->$", re.M)
+FOUND = Path(__file__).parents[2] / "examples" / "found_attacks"
 SCHEMA = Path(run_directory.__file__).with_name("manifest.schema.json")
 
 
@@ -47,6 +48,17 @@ def manifest_tables() -> Iterator[str]:
             yield from rows(definition["properties"])
 
 
+def found_attacks() -> Iterator[str]:
+    """Yield a row for each attack that a search found, from the comments in its file."""
+    yield "| attack | when it was found | now |"
+    yield "| --- | --- | --- |"
+    for file in sorted(FOUND.rglob("*.yaml")):
+        comments = [line[2:] for line in file.read_text("utf-8").splitlines() if line[:2] == "# "]
+        if comments:
+            now = comments[-1].rstrip(".") if file.parent != FOUND else "missed"
+            yield f"| `{file.stem}` | {comments[0].rstrip('.')} | {now} |"
+
+
 def rows(fields: dict[str, Any], before: str = "") -> Iterator[str]:
     """Yield a row for each field, those of nested objects after their own."""
     for name, field in fields.items():
@@ -70,4 +82,5 @@ def kind(field: dict[str, Any]) -> str:
 TABLES: dict[str, Callable[[], Iterator[str]]] = {
     "features": feature_table,
     "manifest": manifest_tables,
+    "found_attacks": found_attacks,
 }

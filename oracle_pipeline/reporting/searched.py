@@ -44,10 +44,10 @@ def _row(folder: Path) -> dict[str, Any]:
     path = folder / FINDINGS
     try:
         document = json.loads(path.read_text("utf-8"))
-        far, findings = float(document["far"]), document["findings"]
+        findings = document["findings"]
         ran = [each for each in findings if not each["screened_out"]]
         effects = [each for each in ran if each["effect"] >= 1.0]
-        passed = [each for each in effects if each["p_value"] > far]
+        passed = [each for each in effects if each["passed"]]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise OracleError(f"{path} cannot be read ({error}); search again.") from error
     return {

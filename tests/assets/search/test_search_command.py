@@ -1,5 +1,6 @@
 """``oracle-sim search`` in closed loop: it can be continued, and misses are scenarios."""
 
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -102,7 +103,7 @@ def miss(attack: Attack) -> Finding:
     return Finding(
         Proposal(7, 0, attack.document, attack.values), screened_out=False, effect=2.0,
         effects={"driven_m": 1.5}, margin=0.5, violated=(), magnitude=0.3, score=1.0, p_value=0.4,
-        families=(), moved=(),
+        passed=True, families=(), moved=(),
     )  # fmt: skip
 
 
@@ -117,7 +118,7 @@ def test_a_miss_is_a_mode_with_the_found_values_as_defaults(
     (program,) = compile_file(path)
     assert program.scenario.id == "range_drift_miss007"
     assert program.parameters["rate"].default == 0.0125
-    assert misses([finding], far=0.5) == []
+    assert misses([dataclasses.replace(finding, passed=False)]) == []
     monkeypatch.setenv("ORACLE_SCENARIOS", str(path.parent))
     mode = modes()["range_drift_miss007"]
     recipe = recipe_for(mode, 3, Campaign())
