@@ -47,13 +47,7 @@ class Note:
     """A remark for people, such as on dropped messages or a topic that cannot be read."""
 
     text: str
-
-
-@dataclass(frozen=True, slots=True)
-class Kept(Note):
-    """The black box has kept a recording."""
-
-    path: Path
+    kept: Path | None = None  # the recording that the black box has kept
 
 
 Event: TypeAlias = MessageReceived | GraphTaken | WindowVerdict | WindowAlarm | ContractAlarm | Note

@@ -20,14 +20,7 @@ from oracle_pipeline.bags.qos_profiles import is_latched, is_reliable
 from oracle_pipeline.live.black_box import BlackBox, Keep
 from oracle_pipeline.live.contract_watch import ContractWatch
 from oracle_pipeline.live.discovery import Endpoint
-from oracle_pipeline.live.events import (
-    ContractAlarm,
-    Event,
-    Kept,
-    MessageReceived,
-    Note,
-    WindowAlarm,
-)
+from oracle_pipeline.live.events import ContractAlarm, Event, MessageReceived, Note, WindowAlarm
 from oracle_pipeline.live.intake import Received
 from oracle_pipeline.live.judge_process import JudgeProcess
 from oracle_pipeline.live.recorder import Recorder
@@ -361,7 +354,7 @@ class Watch:
         if self._black_box is None:
             recorder.close()
         elif self._black_box.take(recorder):
-            self._pending.append(Kept(f"Kept: {recorder.path}", recorder.path))
+            self._pending.append(Note(f"Kept: {recorder.path}", recorder.path))
         self.recordings = [path for path in self.recordings if path.exists()]
 
     def _end_segment(self) -> None:

@@ -131,7 +131,7 @@ def watch(
         oracle watch --zenoh tcp/192.168.1.20:7447 --out recordings/
     """  # noqa: D301 -- click reads the control character
     from oracle_pipeline.bags.dds_names import default_domain
-    from oracle_pipeline.live.events import ContractAlarm, Kept, WindowAlarm
+    from oracle_pipeline.live.events import ContractAlarm, Note, WindowAlarm
     from oracle_pipeline.live.watch import Watch
 
     if learn is not None:
@@ -174,8 +174,8 @@ def watch(
             alarms += isinstance(event, WindowAlarm | ContractAlarm)
             if page is not None:
                 page.show(event)
-            if isinstance(event, Kept):
-                films.append(_begin_film(event.path))
+            if isinstance(event, Note) and event.kept is not None:
+                films.append(_begin_film(event.kept))
             for line in lines_of(event, watching, file_format):
                 click.echo(line)
     dropped = watching.losses.lost.total()
@@ -251,13 +251,9 @@ def _begin_film(recording: Path) -> "subprocess.Popen[bytes]":
 
     It goes on after the end of the watch. A robot without odometry has no film.
     """
-    return subprocess.Popen(
-        [sys.executable, "-c", _FILM, "replay", recording],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    command: list[str | Path] = [sys.executable, "-c", _FILM, "replay", recording]
+    none = subprocess.DEVNULL
+    return subprocess.Popen(command, stdin=none, stdout=none, stderr=none, start_new_session=True)
 
 
 def _page(port: int) -> "LivePage":

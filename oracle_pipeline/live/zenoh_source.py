@@ -13,6 +13,7 @@ import queue
 import struct
 import time
 from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import Any, TypeAlias
 
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosReliability
@@ -105,18 +106,12 @@ class ZenohIntake(Intake):
             raise OracleError(f"The message type {msgtype} is not known.")
         super().subscribe(topic, msgtype, reliable=reliable, latched=latched)
         key = f"{self._domain}{topic}/{dds_type(msgtype)}/*"  # the last part is a hash of the type
-        history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=_CACHED)
-        self._subscribers.append(
-            zenoh.ext.declare_advanced_subscriber(
-                self._session,
-                key,
-                lambda sample: self._take(topic, sample),
-                history=history if latched else None,
-            )
-        )
+        before = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=_CACHED)
+        take, history = partial(self._take, topic), before if latched else None
+        subscribe: Any = zenoh.ext.declare_advanced_subscriber
+        self._subscribers.append(subscribe(self._session, key, take, history=history))
 
     def _take(self, topic: str, sample: Any) -> None:
-        now = time.time_ns(), time.monotonic_ns()
         told = b"" if sample.attachment is None else bytes(sample.attachment)
         if len(told) < _NUMBERS.size + _GUID:
             return  # not of ROS
@@ -124,7 +119,7 @@ class ZenohIntake(Intake):
         last = self._numbers.get(guid, number)
         self._numbers[guid] = max(number, last)
         self.count_lost(topic, number - last - 1)
-        data = bytes(sample.payload)
+        now, data = (time.time_ns(), time.monotonic_ns()), bytes(sample.payload)
         self.put([Received(topic, sent_ns, *now, _handle(guid), data)])
 
 

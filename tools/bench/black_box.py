@@ -22,7 +22,7 @@ from rosbags.interfaces import QosDurability, QosReliability
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.protocol import INTERVAL_S
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
-from oracle_pipeline.evaluation.estimate import Estimate, clopper_pearson
+from oracle_pipeline.evaluation.estimate import clopper_pearson
 from oracle_pipeline.live.black_box import Keep
 from oracle_pipeline.live.discovery import ENTITIES_QOS, Discovery, Endpoint
 from oracle_pipeline.live.intake import Intake, Received
@@ -37,7 +37,6 @@ _AHEAD_S = HOP_S + 1.0  # of the newest verdict, at most: a second arrives at on
 _WAIT_S = 0.002
 _STEADY_NS = 10**18  # of the steady clock when a recording begins: later than the machine's
 _SECOND_NS = 10**9
-_TAILS = 0.025, 0.975  # of the interval of a figure
 _TAKES_ALL = ENTITIES_QOS._replace(
     reliability=QosReliability.BEST_EFFORT, durability=QosDurability.VOLATILE
 )
@@ -80,7 +79,7 @@ class RecordedSystem(Discovery):
 
     def writer(self, topic: str) -> int:
         """Return who sends the next message of a topic: the one with most left to send."""
-        left = self._left[topic]
+        left = self._left.get(topic) or {-1: 0.0}  # none is known
         writer = max(left, key=left.__getitem__)
         left[writer] -= 1
         return writer
@@ -140,18 +139,17 @@ class Played(Source):
         self.facts["played"] = str(path)
         with open_run(path) as run:
             start_ns = run.bag.start_ns
+            later_ns, writer = self._passed_ns - start_ns, self._system.writer
             for second, messages in groupby(
                 run.bag.messages(), lambda message: (message.stamp_ns - start_ns) // _SECOND_NS
             ):
                 self._system.go_to(run, second)
                 self._now_s = second + 1.0
                 came = [
-                    Received(
-                        topic, now_ns, now_ns, self._passed_ns + now_ns - start_ns,
-                        self._system.writer(topic), data,
-                    )
-                    for topic, now_ns, data in messages if topic in self.intake.topics
-                ]  # fmt: skip
+                    Received(topic, at_ns, at_ns, later_ns + at_ns, writer(topic), data)
+                    for topic, at_ns, data in messages
+                    if topic in self.intake.topics
+                ]
                 self.sent[path] += sum(len(each.data) for each in came)
                 yield came
             self._passed_ns += run.bag.end_ns - start_ns + _SECOND_NS
@@ -163,9 +161,7 @@ class Outcome(NamedTuple):
     hours: float
     sent: int  # [B]
     kept: int  # [B]
-    alarms: list[float]  # in kept recordings [s of the run]
-    onset_s: float | None  # None: it has no attack
-    inside: bool  # whether the onset is in a kept recording
+    inside: bool | None  # whether the onset is in a kept recording; None: there is no attack
 
 
 def outcomes(runs: Sequence[Path], card: Path) -> Iterator[Outcome]:
@@ -177,32 +173,25 @@ def outcomes(runs: Sequence[Path], card: Path) -> Iterator[Outcome]:
             for event in watch:
                 if isinstance(event, WindowVerdict):
                     source.judged(event)
-        for run in runs:
-            yield _outcome(run, source.sent[run], watch.recordings)
-
-
-def _outcome(path: Path, sent: int, recordings: Sequence[Path]) -> Outcome:
-    manifest, kept, alarms, inside = Manifest.load(path / MANIFEST_FILE), 0, [], False
-    onset_s = manifest.onset_s if manifest.label == "malicious" else None
-    with open_run(path) as run:
-        start_ns = run.bag.start_ns
-    for recording in recordings:
-        facts = json.loads((recording / RECORDING_FILE).read_text())
-        if facts["played"] == str(path):
-            begin_s = (facts["start_ns"] - start_ns) / _SECOND_NS
-            with open_run(recording) as run:
-                kept += sum(len(message.data) for message in run.bag.messages())
-            alarms += [begin_s + alarm["at_s"] for alarm in facts["alarms"]]
-            inside |= begin_s <= (onset_s or 0.0) <= begin_s + facts["recording_s"]
-    return Outcome(manifest.recording_s / 3600.0, sent, kept, alarms, onset_s, inside)
+        for path in runs:
+            manifest, kept, inside = Manifest.load(path / MANIFEST_FILE), 0, False
+            with open_run(path) as run:
+                onset_ns = run.bag.start_ns + round((manifest.onset_s or 0.0) * _SECOND_NS)
+            for recording in watch.recordings:
+                if json.loads((recording / RECORDING_FILE).read_text())["played"] == str(path):
+                    with open_run(recording) as run:
+                        kept += sum(len(message.data) for message in run.bag.messages())
+                        inside |= run.bag.start_ns <= onset_ns <= run.bag.end_ns
+            is_attack = manifest.label == "malicious" and manifest.onset_s is not None
+            hours, sent = manifest.recording_s / 3600.0, source.sent[path]
+            yield Outcome(hours, sent, kept, inside if is_attack else None)
 
 
 def main() -> None:
     """Print what becomes of each run, and both figures."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("paths", type=Path, nargs="+", metavar="CARD RUN...")
-    told: list[Outcome] = []
-    card = Path()
+    told, card = list[Outcome](), Path()
     for block, group in groupby(parser.parse_args().paths, _block):
         if block is None:
             (card,) = group
@@ -211,16 +200,16 @@ def main() -> None:
         for run, outcome in zip(runs, outcomes(runs, card), strict=True):
             told.append(outcome)
             print(f"{run}: {outcome}", flush=True)
-    if attacks := [each.inside for each in told if each.onset_s is not None]:
+    if attacks := [each.inside for each in told if each.inside is not None]:
         share = clopper_pearson(sum(attacks) / len(attacks), len(attacks))
         print(f"Onsets inside a kept recording: {share}, of {len(attacks)}.")
-    if drives := [each for each in told if each.onset_s is None]:
+    if drives := [each for each in told if each.inside is None]:
         sizes = np.array([(each.kept, each.sent) for each in drives])
         drawn = np.random.default_rng(0).integers(len(sizes), size=(2000, len(sizes)))
         kept, sent = np.moveaxis(sizes[drawn].sum(axis=1), -1, 0)
-        share = Estimate(sizes[:, 0].sum() / sizes[:, 1].sum(), *np.quantile(kept / sent, _TAILS))
-        hours = sum(each.hours for each in drives)
-        print(f"Bytes kept of {hours:.2f} hours of normal driving: {share}.")
+        low, high = np.quantile(kept / sent, [0.025, 0.975])
+        hours, share = sum(each.hours for each in drives), sizes[:, 0].sum() / sizes[:, 1].sum()
+        print(f"Bytes kept of {hours:.2f} h of driving: {share:.1%} ({low:.1%} to {high:.1%}).")
 
 
 def _block(path: Path) -> int | None:

@@ -6,7 +6,7 @@ from itertools import islice
 import pytest
 
 from oracle_pipeline.live.black_box import Keep
-from oracle_pipeline.live.events import Kept, WindowVerdict
+from oracle_pipeline.live.events import Note, WindowVerdict
 from oracle_pipeline.live.watch import Watch
 from oracle_pipeline.live.watch_command import _begin_film
 from oracle_pipeline.opened_run import open_run
@@ -39,7 +39,7 @@ def test_an_alarm_before_a_step_of_the_clock_is_kept_in_its_own_recording_with_a
             if isinstance(event, WindowVerdict):
                 alarms += event.alarm
                 source.judged(event)
-            kept += [event.path] if isinstance(event, Kept) else []
+            kept += [event.kept] if isinstance(event, Note) and event.kept else []
     assert kept == watch.recordings == [tmp_path / "recording", tmp_path / "recording_2"]
     for path in kept:
         (alarm,) = json.loads((path / "recording.json").read_text())["alarms"]
