@@ -5,8 +5,8 @@ Only the numbers of a run are stored, because its scenario and recipe can reprod
 
 import functools
 import tempfile
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,9 +28,11 @@ from sim.campaigns import Campaign
 from sim.commands.kill_matrix import derive_mutant
 from sim.experiments import Job, recipe_for, record_job, record_run
 from sim.fuzzing.scenario import NO_FILE, Scenario
+from sim.modes import modes
 from sim.pairs import CONTROL
 from sim.testbed import Mode
 
+REPEATS = 4  # of each block, with other noise
 SHARE = 0.15  # relative change of the control's path or time that is an effect on the task
 # Smallest difference of other quantities that is an effect.
 STEPS: Mapping[str, float] = {
@@ -73,7 +75,8 @@ class Finding:
         Whether the oracle detects the attack in an altered recording of the control. Then it was
         not run in closed loop and has no effect.
     effect : float
-        Largest change of the task, in units of a change that matters: 1 or more is an effect.
+        Largest change of the task beyond repeats with other noise, in units of a change that
+        matters: 1 or more is an effect.
     effects : mapping of str to float
         Attacked run minus control, in the unit of each quantity.
     margin : float or None
@@ -147,9 +150,22 @@ class ClosedLoop:
     conditions: Mapping[str, Any] = field(default_factory=dict)
 
     def run_control(self, block: int) -> Manifest:
-        """Record a block without an attack. It is kept, because screening alters its bag."""
+        """Record a block without an attack, and repeats of it with other noise of the sensors.
+
+        The control is kept, because screening alters its bag.
+        """
+        noisy = replace(self.campaign, noise_per_run=True)
+        for repeat in self._repeats(block):
+            record_job(noisy, False, repeat)
         recipe = recipe_for(CONTROL, block, self.campaign)
         return record_run(recipe, RunDirectory(self.controls, CONTROL, block))
+
+    def _repeats(self, block: int) -> list[Job]:
+        control = modes()[CONTROL].scenario
+        named = [{**control.document, "id": f"{CONTROL}_{n}"} for n in range(REPEATS)]
+        scenarios = [replace(control, document=document) for document in named]
+        root = self.controls / "repeats"
+        return [Job(Mode(each, self.conditions), root, block, block) for each in scenarios]
 
     def run_trial(self, proposal: Proposal) -> Finding:
         """Run one proposal in closed loop and judge it, unless screening detects it already."""
@@ -186,7 +202,9 @@ class ClosedLoop:
         held: dict[str, float] = {}
         if ran:
             unaltered = control.manifest()
-            effects, held = task_effects(manifest, unaltered), margins(manifest, unaltered)
+            repeats = [job.directory.manifest() for job in self._repeats(proposal.block)]
+            effects = task_effects(manifest, unaltered, repeats)
+            held = margins(manifest, unaltered)
         largest = [change.largest for change in manifest.changes]
         return Finding(
             proposal,
@@ -233,14 +251,22 @@ def _against_control(control: RunDirectory, card: Path, far: float) -> set[str]:
     return against(_judged(control, card, far).verdict, far)
 
 
-def task_effects(attacked: Manifest, control: Manifest) -> dict[str, tuple[float, float]]:
-    """Return the change of each quantity, in its own unit and in units of a change that matters."""
+def task_effects(
+    attacked: Manifest, control: Manifest, repeats: Sequence[Manifest] = ()
+) -> dict[str, tuple[float, float]]:
+    """Return the change of each quantity in its own unit, and how far it is beyond all repeats.
+
+    The latter is in units of a change that matters. A tiny change of a message may send the robot
+    another way, as other noise of its sensors does; that is no effect of the attack.
+    """
     ours, theirs = behaviour(attacked), behaviour(control)
+    usual = [theirs, *map(behaviour, repeats)]
     effects = {}
     for name in ours.keys() & theirs.keys():
-        difference = ours[name] - theirs[name]
+        reached = [each[name] for each in usual if name in each]
+        beyond = ours[name] - min(max(ours[name], min(reached)), max(reached))
         step = STEPS.get(name, SHARE * max(abs(theirs[name]), 1e-9))
-        effects[name] = (difference, difference / step)
+        effects[name] = (ours[name] - theirs[name], beyond / step)
     return dict(sorted(effects.items()))
 
 
