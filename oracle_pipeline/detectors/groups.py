@@ -18,6 +18,12 @@ from oracle_pipeline.detectors.base import OwnDetector
 MOST_COMPONENTS = 12  # directions of a group whose variances are kept
 LEAST_SHARE = 0.5  # of the standard deviation: smallest scale
 OF_CONSTANT = 5.0  # scales that a change of a constant counts for
+OF_OWN = {"change": ("change", 0.05)}  # least scales of statistics, in the usual one of a signal
+OF_PERIODS = {  # the same, of the time between messages
+    "mean": ("mean", 0.5), "std": ("mean", 2.0), "min": ("mean", 2.0), "max": ("mean", 10.0),
+    "change": ("mean", 1.0),
+}  # fmt: skip
+OF_SEQUENCE_OF_PERIODS = 10.0  # least scale of statistics without a unit
 _LEAST_NOISE = 0.05  # variance in any other direction; rows are z-scores
 _LEAST_TYPICAL = 1.0  # distance that a group without variance is compared with
 
@@ -28,6 +34,10 @@ class SignalScaler(FlooredRobustScaler):
     The scale is at least half of the standard deviation, since MAD is 0 for a column that few
     recordings change. A column that none changed has no scale: any change of it counts as
     `OF_CONSTANT` scales, because among hundreds of such columns one changes by chance.
+
+    Each statistic has a least scale, relative to what its signal usually does in a recording: what
+    a queue or another machine does to messages is no other behaviour, though a simulator sends them
+    to the nanosecond.
 
     Attributes
     ----------
@@ -41,7 +51,9 @@ class SignalScaler(FlooredRobustScaler):
         values = X[self.kept_].to_numpy(dtype=np.float64)
         deviation = np.nanstd(np.where(np.isfinite(values), values, np.nan), axis=0)
         self.is_constant_ = deviation <= ROUNDING_FLOOR * np.abs(self.center_)
-        self.scale_ = np.maximum(self.scale_, LEAST_SHARE * deviation)
+        self.scale_ = np.maximum.reduce(
+            [self.scale_, LEAST_SHARE * deviation, _least_scales(self.kept_, self.center_)]
+        )
         return self
 
     def transform(self, X: pd.DataFrame) -> NDArray[np.float64]:
@@ -49,6 +61,21 @@ class SignalScaler(FlooredRobustScaler):
         scaled = super().transform(X)
         limit = np.where(self.is_constant_, OF_CONSTANT, CLIP)
         return np.asarray(np.clip(scaled, -limit, limit), dtype=np.float64)
+
+
+def _least_scales(columns: Sequence[str], centre: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the least scale of each column, in its unit."""
+    usual = dict(zip(columns, centre.tolist(), strict=True))
+    least = np.zeros(len(columns))
+    for number, column in enumerate(columns):
+        signal, _, statistic = column.rpartition(".")
+        is_period = signal.endswith("/period")
+        if found := (OF_PERIODS if is_period else OF_OWN).get(statistic):
+            of, share = found
+            least[number] = share * abs(usual.get(f"{signal}.{of}", 0.0))
+        elif is_period:
+            least[number] = OF_SEQUENCE_OF_PERIODS
+    return least
 
 
 class LargestGroup(OwnDetector):

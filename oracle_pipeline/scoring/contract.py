@@ -322,8 +322,16 @@ class Contract:
         copies = seen.relays[name].get(source)
         if copies is None:
             return True
-        margin = max(MARGIN, FEW / copies.messages)
+        margin = max(MARGIN, FEW / copies.messages) + self._lost(source, seen)
         return 1.0 - copies.share > 2.0 * (1.0 - usual) + margin
+
+    def _lost(self, name: str, seen: Observation) -> float:
+        """Return the share of a topic's usual messages that the recording lacks."""
+        usual_hz = self.topics[name].lowest_hz if name in self.topics else None
+        rate_hz = seen.topics[name][2]
+        if usual_hz is None or rate_hz is None:
+            return 0.0
+        return max(0.0, 1.0 - rate_hz / usual_hz)
 
     def _of_graph(self, graph: frozenset[str] | None) -> list[Breach]:
         if graph is None or not self.ever:

@@ -75,12 +75,12 @@ _TIMING_FEATURES = timed(
         per_window=False,
     ),
     Feature(
-        "gap_max", "1", 0.1,
+        "gap_max", "1", 1.0,
         "longest time between messages over the topic's median, maximum over the steady topics",
         per_window=False, extensive=True,
     ),
     Feature(
-        "out_of_order_max", "1", 1e-3,
+        "out_of_order_max", "1", 0.05,
         "share of header stamps earlier than the previous message's, maximum over topics",
     ),
 )  # fmt: skip
@@ -90,10 +90,11 @@ _BYTE_FEATURES = (
     *_features("zlib_ratio", "1", 2e-3, "zlib ratio of the differences of bytes 8 apart, median"),
 )
 
+# Rounding to the resolution of a sensor makes numbers of an array equal.
 _ARRAY_FEATURES = (
     *_features("non_finite", "1", 1e-3, "share of inf and NaN in an array, median"),
-    *_features("at_limit", "1", 1e-3, "share of an array equal to its maximum or minimum, median"),
-    *_features("distinct", "1", 1e-3, "share of distinct numbers in an array, median"),
+    *_features("at_limit", "1", 0.01, "share of an array equal to its maximum or minimum, median"),
+    *_features("distinct", "1", 0.1, "share of distinct numbers in an array, median"),
     *_features("autocorrelation", "1", 1e-3, "lag-1 autocorrelation along an array, median"),
     *_features("roughness", "1", 1e-3, "second difference along an array over its values, median"),
 )

@@ -51,9 +51,9 @@ FEATURES = (
         "of the type, maximum over the pairs",
     ),
     Feature(
-        "roughness_ratio", "1", 0.01, "abs(ln) of two topics' ratio of median roughness, maximum"
+        "roughness_ratio", "1", 0.1, "abs(ln) of two topics' ratio of median roughness, maximum"
     ),
-    *timed(Feature("rate_ratio", "1", 0.01, "abs(ln) of two topics' ratio of messages, maximum")),
+    *timed(Feature("rate_ratio", "1", 0.05, "abs(ln) of two topics' ratio of messages, maximum")),
     Feature(
         "identity", "1", 0.01, "share of arrays that are equal on two topics, maximum",
         shortcut=True,

@@ -5,6 +5,9 @@ import pandas as pd
 import pytest
 
 from oracle_pipeline.detectors import LargestGroup, SignalScaler
+from oracle_pipeline.features.engine.spans import Span
+from oracle_pipeline.features.signals.collector import Signals
+from oracle_pipeline.features.signals.statistics import SignalTable
 
 TOPICS = 100
 GROUPS = [f"/{topic}" for topic in range(TOPICS) for _ in range(3)]
@@ -29,3 +32,22 @@ def test_change_of_a_constant_counts_but_not_for_all():
     scaler = SignalScaler({}).fit(pd.DataFrame({"a": np.ones(20), "b": np.arange(20.0)}))
     changed = scaler.transform(pd.DataFrame({"a": [7.0], "b": [1e6]}))[0]
     assert changed == pytest.approx([5.0, 50.0])
+
+
+def test_lost_messages_of_a_simulator_are_not_far_and_a_silence_is():
+    normal = statistics_of_periods([np.full(200, 0.05)] * 20)
+    scaler = SignalScaler({}).fit(normal)
+    detector = LargestGroup().fit(scaler.transform(normal))
+    lost, silent = np.full(195, 0.05), np.full(200, 0.05)
+    lost[::40], silent[100] = 0.1, 5.0
+    lost, silent = (scaler.transform(statistics_of_periods([each])) for each in (lost, silent))
+    assert -detector.score_samples(lost) < 1.5 < 10.0 < -detector.score_samples(silent)
+
+
+def statistics_of_periods(recordings):
+    rows = []
+    for periods in recordings:
+        times_ns = np.rint(np.cumsum(periods) * 1e9).astype(np.int64)
+        table = SignalTable([Signals("/imu", ("period",), ("s",), times_ns, periods[:, None])])
+        rows.append(table.values(Span(0, int(times_ns[-1]) + 1)))
+    return pd.DataFrame(rows)

@@ -139,7 +139,8 @@ def test_a_recording_breaks_no_rate_that_it_is_too_short_to_show():
     ("rate_hz", "range_m", "copies", "severities"),
     [
         (4.5, "3.5000001", 0, ["note", "note", "note"]),
-        (2.4, "3.6", 5, ["breach", "breach", "breach"]),
+        (2.4, "3.6", 2, ["breach", "breach", "breach"]),
+        (4.0, "3.5", 7, ["note"]),  # the relay has what its source lost
         (None, "3.5", 10, ["breach"]),
     ],
 )
