@@ -14,6 +14,7 @@ from tools.bench import (
     live,
     navigation,
     null_model,
+    pull_requests,
     scenarios,
     storage,
     testbed,
@@ -33,6 +34,7 @@ BENCHMARKS = {
     "ladder": ladder.rows,
     "live": live.rows,
     "null_model": null_model.rows,
+    "pull_requests": pull_requests.rows,
 }
 DEFAULT = ("testbed", "scenarios")  # speed, size and memory; the others take longer
 

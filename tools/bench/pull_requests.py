@@ -33,7 +33,7 @@ from tools.bench.figures import Row
 MODE, SEED = "lidar_passthrough_odom", 360_001
 USUAL, RUNS, BLOCKS = "usual", 420, 100
 REQUESTS, LEVEL = 200, 0.01
-SIZES = (10, 20)  # recordings of each set, or pairs
+SIZES = (10, 40)  # recordings of each set, or pairs
 
 
 class Change(NamedTuple):
