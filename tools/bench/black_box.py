@@ -2,15 +2,13 @@
 
 ``python -m tools.bench.black_box CARD RUN... [CARD RUN...]`` plays runs to `Watch`, as a source of
 messages in place of a domain, as fast as windows are judged. A card judges the runs after it, of
-other blocks. The runs of a block follow one another, as if a simulation were started again. An
-onset counts as kept if it is inside a recording that is left; bytes are those of messages.
+other blocks. An onset counts as kept if it is inside a recording that is left; bytes are those of
+messages.
 """
 
 import argparse
-import json
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
@@ -21,7 +19,7 @@ from rosbags.interfaces import QosDurability, QosReliability
 
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.protocol import INTERVAL_S
-from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
+from oracle_pipeline.bags.run_directory import MANIFEST_FILE
 from oracle_pipeline.evaluation.estimate import clopper_pearson
 from oracle_pipeline.live.black_box import Keep
 from oracle_pipeline.live.discovery import ENTITIES_QOS, Discovery, Endpoint
@@ -100,8 +98,8 @@ class Played(Source):
     ----------
     stop : callable
         Ends the watch, once all was played.
-    sent : Counter of Path
-        Bytes of the messages of each run.
+    sent : int
+        Bytes of the messages so far.
     """
 
     stop: Callable[[], None]
@@ -109,7 +107,7 @@ class Played(Source):
     def __init__(self, runs: Sequence[Path]) -> None:
         self._system = RecordedSystem()
         super().__init__({}, self._system, Intake())
-        self.sent: Counter[Path] = Counter()
+        self.sent = 0
         self._now_s, self._judged_s, self._passed_ns = 0.0, 0.0, _STEADY_NS
         with open_run(runs[0]) as first:
             self._system.go_to(first, 0)
@@ -136,7 +134,6 @@ class Played(Source):
     def seconds(self, path: Path) -> Iterator[list[Received]]:
         """Yield the messages of each second of a run."""
         self._judged_s = WINDOW_S - HOP_S
-        self.facts["played"] = str(path)
         with open_run(path) as run:
             start_ns = run.bag.start_ns
             later_ns, writer = self._passed_ns - start_ns, self._system.writer
@@ -150,7 +147,7 @@ class Played(Source):
                     for topic, at_ns, data in messages
                     if topic in self.intake.topics
                 ]
-                self.sent[path] += sum(len(each.data) for each in came)
+                self.sent += sum(len(each.data) for each in came)
                 yield came
             self._passed_ns += run.bag.end_ns - start_ns + _SECOND_NS
 
@@ -164,27 +161,24 @@ class Outcome(NamedTuple):
     inside: bool | None  # whether the onset is in a kept recording; None: there is no attack
 
 
-def outcomes(runs: Sequence[Path], card: Path) -> Iterator[Outcome]:
-    """Play runs to a watch; yield what became of each."""
-    source = Played(runs)
+def outcome(path: Path, card: Path) -> Outcome:
+    """Play a run to a watch, and return what became of it."""
+    source, manifest = Played([path]), Manifest.load(path / MANIFEST_FILE)
+    kept, inside = 0, False
     with tempfile.TemporaryDirectory() as folder:
         with Watch(source, card=card, folder=Path(folder), keep=KEEP) as watch:
             source.stop = watch.stop
             for event in watch:
                 if isinstance(event, WindowVerdict):
                     source.judged(event)
-        for path in runs:
-            manifest, kept, inside = Manifest.load(path / MANIFEST_FILE), 0, False
-            with open_run(path) as run:
-                onset_ns = run.bag.start_ns + round((manifest.onset_s or 0.0) * _SECOND_NS)
-            for recording in watch.recordings:
-                if json.loads((recording / RECORDING_FILE).read_text())["played"] == str(path):
-                    with open_run(recording) as run:
-                        kept += sum(len(message.data) for message in run.bag.messages())
-                        inside |= run.bag.start_ns <= onset_ns <= run.bag.end_ns
-            is_attack = manifest.label == "malicious" and manifest.onset_s is not None
-            hours, sent = manifest.recording_s / 3600.0, source.sent[path]
-            yield Outcome(hours, sent, kept, inside if is_attack else None)
+        with open_run(path) as run:
+            onset_ns = run.bag.start_ns + round((manifest.onset_s or 0.0) * _SECOND_NS)
+        for recording in watch.recordings:
+            with open_run(recording) as run:
+                kept += sum(len(message.data) for message in run.bag.messages())
+                inside |= run.bag.start_ns <= onset_ns <= run.bag.end_ns
+    is_attack = manifest.label == "malicious" and manifest.onset_s is not None
+    return Outcome(manifest.recording_s / 3600.0, source.sent, kept, inside if is_attack else None)
 
 
 def main() -> None:
@@ -192,14 +186,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("paths", type=Path, nargs="+", metavar="CARD RUN...")
     told, card = list[Outcome](), Path()
-    for block, group in groupby(parser.parse_args().paths, _block):
-        if block is None:
-            (card,) = group
-            continue
-        runs = list(group)
-        for run, outcome in zip(runs, outcomes(runs, card), strict=True):
-            told.append(outcome)
-            print(f"{run}: {outcome}", flush=True)
+    for path in parser.parse_args().paths:
+        if path.is_file():
+            card = path
+        else:
+            told.append(outcome(path, card))
+            print(f"{path}: {told[-1]}", flush=True)
     if attacks := [each.inside for each in told if each.inside is not None]:
         share = clopper_pearson(sum(attacks) / len(attacks), len(attacks))
         print(f"Onsets inside a kept recording: {share}, of {len(attacks)}.")
@@ -210,11 +202,6 @@ def main() -> None:
         low, high = np.quantile(kept / sent, [0.025, 0.975])
         hours, share = sum(each.hours for each in drives), sizes[:, 0].sum() / sizes[:, 1].sum()
         print(f"Bytes kept of {hours:.2f} h of driving: {share:.1%} ({low:.1%} to {high:.1%}).")
-
-
-def _block(path: Path) -> int | None:
-    """Return the block of a run; None for a card."""
-    return None if path.is_file() else Manifest.load(path / MANIFEST_FILE).block
 
 
 if __name__ == "__main__":
