@@ -24,7 +24,7 @@ PIP_VERSION := 26.3
 INSTALL = $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help setup setup-dev demo demo-card found-attacks run campaign ui test test-everything test-quick test-browser test-compiled lint types size architecture docs \
+.PHONY: help setup setup-dev demo demo-card found-attacks run campaign ui test test-everything test-quick test-browser lint types size architecture docs \
 	pictures wheel install-check bench ros1 soak constraints requirements image sbom clean
 .DEFAULT_GOAL := help
 
@@ -93,7 +93,7 @@ test-all: lint $(VENV)/.compiled
 	pytest -n 4 --dist loadfile --no-loadscope-reorder $(TESTS)
 
 # In one session, the tests share runs and processes.
-test-everything: $(VENV)/.ready-dev ## Run all tests at once, as continuous integration does; needs Chromium, cmake and a compiler
+test-everything: $(VENV)/.ready-dev ## Run all tests at once, as continuous integration does; needs Chromium
 	$(BIN)/python -c 'import playwright' 2>/dev/null || $(INSTALL) '.[browser]'
 	@$(MAKE) --no-print-directory --jobs=2 types test-all TESTS='tests/[!_]*/ tests/test_*.py'
 
@@ -103,9 +103,6 @@ test-quick: setup-dev ## Run the tests that take less than a second each: while 
 test-browser: setup-dev ## Look at the report in a headless Chromium, which has to be installed
 	$(INSTALL) '.[browser]'
 	pytest tests/browser
-
-test-compiled: setup-dev ## Build feature plugins in C++ and Rust and use them; needs cmake and a compiler, Rust is optional
-	pytest tests/compiled
 
 lint: $(VENV)/.ready-dev ## Check style and the direction of imports; warn about retired words
 	ruff check .

@@ -4,8 +4,7 @@ from typing import Any, Literal, TypedDict
 
 import dagster as dg
 
-# A run, all runs, a recording from the inbox, or a searched scenario.
-Scope = Literal["run", "campaign", "recording", "scenario"]
+Scope = Literal["run", "campaign", "recording"]  # a run, all runs, one from the inbox
 
 SINGLE_RUN = dg.BackfillPolicy.single_run()  # one Dagster run for any range of partitions
 

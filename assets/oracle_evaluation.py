@@ -23,12 +23,8 @@ from resources.fleet import PROGRESS_S, Fleet
 from resources.store import RunStore
 
 if TYPE_CHECKING:
-    from oracle_pipeline.evaluation.campaign_evaluation import CampaignEvaluation
-    from oracle_pipeline.evaluation.kinds_comparison import KindsComparison
     from oracle_pipeline.scoring.contract import Observation
     from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-
-QUESTIONS = 20  # answered by labels in place of a person
 
 
 @aggregate("oracle", "scikitlearn", deps=[feature_dataset])
@@ -40,12 +36,11 @@ def oracle_evaluation(
     Every run gets the verdict of `oracle score`, by a card of other blocks: how often the exit code
     is 1 for attacked and for normal runs, with intervals; false alarms an hour, time to detect.
     With a red integrity check, nothing is claimed. Grids below `<root>/grids`, recorded with
-    `oracle-sim grid`, add the kill matrix. Simpler kinds of oracle are compared on the same runs.
+    `oracle-sim grid`, add the kill matrix.
     """
     from oracle_pipeline.datasets import read_table
     from oracle_pipeline.evaluation.campaign_evaluation import evaluate
     from oracle_pipeline.reporting.evaluation_report import evaluation_report
-    from oracle_pipeline.reporting.kinds_tables import with_kinds
 
     with clear_failures():
         df = run_table(store, config.testbed)
@@ -60,8 +55,6 @@ def oracle_evaluation(
         )
         report = evaluation_report(evaluation)
         context.log.info(f"{report.summary['headline']} {report.summary['verdicts']}".strip())
-        if (kinds := _kinds(store, fleet, evaluation)) is not None:
-            report = with_kinds(report, kinds)
         return keep(report, store, "oracle_evaluation")
 
 
@@ -79,44 +72,6 @@ def _throttled(log: Callable[[str], None]) -> Callable[[str], None]:
             log(f"Evaluating: {step}.")
 
     return log_step
-
-
-def _kinds(
-    store: RunStore, fleet: Fleet, evaluation: "CampaignEvaluation"
-) -> "KindsComparison | None":
-    """Compare several kinds of oracle on the runs that have signals; None without any.
-
-    A run whose bag was dropped before its signals were extracted is left out, with a log message.
-    """
-    import numpy as np
-
-    from assets.worker.feature_tables import require_trace
-    from oracle_pipeline.datasets import KEYS
-    from oracle_pipeline.evaluation.kinds_comparison import CARD, compare_kinds
-    from oracle_pipeline.oracles.calibration import KindScores
-    from oracle_pipeline.oracles.human import answered_by_labels
-    from oracle_pipeline.oracles.kind import Material, TracedRuns
-    from oracle_pipeline.oracles.registry import build_kinds
-    from oracle_pipeline.oracles.requirements import NAV2, load
-
-    table, headline = evaluation.campaign.features, evaluation.headline
-    jobs = [store.run(run) for run in table["run_id"]]
-    traces = {
-        outcome.job.key: outcome.result
-        for outcome in fleet.outcomes(require_trace, jobs, "runs read for the comparison of kinds")
-        if outcome.result is not None
-    }
-    traced = table["run_id"].isin(traces).to_numpy()
-    if not traced.any():
-        return None
-    keys = table.loc[traced, [*KEYS]].reset_index(drop=True)
-    runs = TracedRuns(keys, tuple(traces[run] for run in keys["run_id"]))
-    of_card = KindScores(headline.score[traced], headline.p[traced])
-    return compare_kinds(
-        build_kinds(answered_by_labels(Material(runs, load(NAV2)), QUESTIONS)),
-        runs,
-        {CARD: of_card} if np.isfinite(of_card.p).all() else {},
-    )
 
 
 def _observations(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import dagster as dg
 
 from assets import presentation
-from assets.aggregates import DATASET, aggregate, run_table, windows_of
+from assets.aggregates import aggregate, run_table, windows_of
 from assets.feature_dataset import feature_dataset
 from assets.oracle_evaluation import oracle_evaluation
 from assets.partitions import testbed_of
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 FRESH = dg.FreshnessPolicy.time_window(  # tolerates one failed night; evaluated only if enabled
     warn_window=timedelta(hours=36), fail_window=timedelta(hours=60)
 )
-GHOST = "atc_ghost_static"  # the mode of the radar display in the report
 
 
 @aggregate(
@@ -58,13 +57,11 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
     windows, evidence, goals and outcome. All links are relative.
     """
     from oracle_pipeline.bags.remote import published
-    from oracle_pipeline.datasets import KEYS, read_table
     from oracle_pipeline.evaluation.run_deviations import deviations_of_runs
-    from oracle_pipeline.evaluation.unusual_windows import unusual_windows
     from oracle_pipeline.replay.picture import FILM
     from oracle_pipeline.reporting import html, thesis_reports
     from oracle_pipeline.reporting.arrivals_page import summary
-    from oracle_pipeline.reporting.explanation import drawn, explanations
+    from oracle_pipeline.reporting.explanation import explanations
     from oracle_pipeline.reporting.run_pages import ShownRuns, write_run_pages
     from oracle_pipeline.reporting.searched import searched
     from oracle_pipeline.reporting.stored_report import Report
@@ -83,8 +80,6 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
         measured = MeasuredRuns.ordered(df, windows_of(store, df))
         explained = explanations(df, measured.windows, judged, draw)
         deviations = deviations_of_runs(df)
-        keys = read_table(store.dataset(DATASET), columns=KEYS)
-        radar, _ = drawn(_ghost_and_control(keys), draw)
         rows, rate, seed, _ = bootstrap_settings(store)
         page = html.render(
             evaluation=evaluation,
@@ -94,7 +89,6 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
             rates=Report.load(store.results("malicious_rate_report")),
             pairs=Report.load(store.results("pairwise_report")),
             side_by_side=thesis_reports.side_by_side(runs_drawn_from(store), rows, rate, seed),
-            radar=radar,
             storage=_storage(store),
             arrived=summary(arrived) if (arrived := kept_verdicts(store.path)) else "",
             searched=searched(store.path),
@@ -105,7 +99,6 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
             measured=measured,
             evaluation=evaluation,
             deviations=deviations,
-            unusual=unusual_windows(measured),
             path=lambda run: store.run(run).path,
             film=FILM,
             manifest=lambda run: store.run(run).manifest(),
@@ -138,13 +131,3 @@ def _storage(store: RunStore) -> "pd.DataFrame":
     from resources.storage.stock import storage_of_modes, take_stock
 
     return pd.DataFrame(storage_of_modes(take_stock(store.path)) if store.is_local else [])
-
-
-def _ghost_and_control(df: "pd.DataFrame") -> list[str]:
-    """Return an air traffic run with a ghost and the same run without; empty if not recorded."""
-    from oracle_pipeline.reporting.explanation import counterpart
-
-    sky = df[df["mode"].map(testbed_of) == testbed_of(GHOST)]
-    ghosts = sky.loc[sky["mode"] == GHOST, "run_id"]
-    pairs = ([ghost, *counterpart(ghost, sky)] for ghost in ghosts)
-    return next((pair for pair in pairs if len(pair) > 1), [])

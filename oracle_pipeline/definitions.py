@@ -20,7 +20,6 @@ from oracle_pipeline.programs import explain_clashes  # noqa: E402
 with explain_clashes():
     from assets import (
         arrival_sensor,
-        attack_search,
         automation,
         evaluation_checks,
         experiment_runs,
@@ -75,7 +74,6 @@ def build_defs(**overrides: object) -> dg.Definitions:
                 [experiment_runs, feature_dataset, oracle_evaluation, thesis_method, oracle_report]
             ),
             *foreign_recordings.SPECS,
-            attack_search.ATTACK_SEARCH,
         ],
         asset_checks=[
             run_checks.checks_of_runs,
@@ -86,7 +84,6 @@ def build_defs(**overrides: object) -> dg.Definitions:
             *automation.JOBS,
             foreign_recordings.judge_arrivals,
             run_retention.forget_old_runs,
-            attack_search.search_attacks,
         ],
         schedules=[automation.nightly, run_retention.weekly],
         sensors=[scenario_changes.changed_scenarios, arrival_sensor.arrived_recordings],

@@ -34,7 +34,6 @@ GRAPH = {
     "foreign_features": ("foreign", set()),
     "foreign_verdicts": ("foreign", {"foreign_features"}),
     "foreign_report": ("foreign", {"foreign_verdicts"}),
-    "attack_search": ("search", set()),
 }
 
 

@@ -1,8 +1,7 @@
-"""The feature tables and signals of one run: extracted again only if something has changed.
+"""The feature tables of one run: extracted again only if something has changed.
 
-The same pass over the bag gives the signals for the kinds of oracle
-(``oracle_pipeline.oracles.traces``). ``assets.worker.kept_tables`` says where the tables are and
-what they were made of. Heavy imports are inside the functions, so that verifying a run is fast.
+``assets.worker.kept_tables`` says where the tables are and what they were made of. Heavy imports
+are inside the functions, so that verifying a run is fast.
 """
 
 import hashlib
@@ -14,7 +13,6 @@ from typing import TYPE_CHECKING
 from assets.worker.kept_tables import keep_tables, kept_tables
 from assets.worker.run_job import Figures
 from assets.worker.versions import feature_code
-from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.layout import TABLES, TableName
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.remote import fetched, is_local
@@ -37,25 +35,18 @@ def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bo
         Always extract.
     """
     from oracle_pipeline.features import build_manager, extract, write
-    from oracle_pipeline.features.engine.kept_messages import KeptMessages
-    from oracle_pipeline.features.extraction import only_robot
     from oracle_pipeline.opened_run import open_run
-    from oracle_pipeline.oracles.kept_traces import keep_trace
-    from oracle_pipeline.oracles.traces import TRACE, trace_of
 
     if not refresh and tables_are_current(run, manifest):
         return False
     _remove_leftovers(run)
     with fetched(run.path) as folder, open_run(folder) as opened:
-        manager, robot = build_manager(), only_robot(opened)
-        recording = KeptMessages.read(robot, (*manager.plugins, TRACE))
-        tables = extract(opened, manager, robot, recording)
+        tables = extract(opened, build_manager())
         of_run, of_windows = write(tables, run)
         figures: dict[TableName, Figures] = {
             "run": _figures(tables.run, of_run),
             "window": _figures(tables.windows, of_windows),
         }
-        keep_trace(trace_of(recording), run, layout.traces(run.root))
     keep_tables(run, _inputs(manifest), figures)
     return True
 
@@ -63,13 +54,6 @@ def ensure_tables(run: RunDirectory, manifest: Manifest, *, refresh: bool) -> bo
 def require_tables(run: RunDirectory) -> bool:
     """Call `ensure_tables` for a complete run, without refresh."""
     return ensure_tables(run, run.manifest(), refresh=False)
-
-
-def require_trace(run: RunDirectory) -> "pd.DataFrame":
-    """Return the signals of a complete run; its bag is read if they are not stored."""
-    from oracle_pipeline.oracles.kept_traces import kept_trace
-
-    return kept_trace(run, layout.traces(run.root))
 
 
 def tables_are_current(run: RunDirectory, manifest: Manifest) -> bool:

@@ -29,9 +29,8 @@ def local_directory(run: RunDirectory) -> Iterator[RunDirectory]:
 
 def publish_run(local: RunDirectory, run: RunDirectory) -> None:
     """Publish a run from a local directory, and compare it with its pair."""
-    for folder in (local.root / layout.FEATURES, layout.traces(local.root)):
-        for file in folder.rglob("*"):
-            if file.is_file():
-                (run.root / file.relative_to(local.root).as_posix()).write_bytes(file.read_bytes())
+    for file in (local.root / layout.FEATURES).rglob("*"):
+        if file.is_file():
+            (run.root / file.relative_to(local.root).as_posix()).write_bytes(file.read_bytes())
     publish(local.path, run.path, MANIFEST_FILE)
     judge_pair(run)

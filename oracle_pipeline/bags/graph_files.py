@@ -121,38 +121,16 @@ def _valid(text: str) -> str:
 
 def write_graphml(graph: RosGraph, path: Path) -> None:
     """Write GraphML, the format of the thesis's single graph."""
-    elements = [_graphml_node(*vertex) for vertex in sorted(graph.nodes(data=True))]
-    elements += [_graphml_edge(*edge) for edge in sorted(graph.edges(data=True))]
-    inside = f">\n{''.join(elements)}  </graph>" if elements else " />"
-    text = f'{_GRAPHML_BEGIN}  <graph edgedefault="directed"{inside}\n</graphml>\n'
-    path.write_bytes(text.encode())
+    import networkx as nx
 
-
-_GRAPHML_BEGIN = """\
-<?xml version='1.0' encoding='utf-8'?>
-<graphml xmlns="http://graphml.graphdrawing.org/xmlns">
-  <key id="label" for="node" attr.name="label" attr.type="string" />
-  <key id="kind" for="node" attr.name="kind" attr.type="string" />
-  <key id="type" for="node" attr.name="type" attr.type="string" />
-  <key id="messages" for="edge" attr.name="messages" attr.type="long" />
-  <key id="bytes" for="edge" attr.name="bytes" attr.type="long" />
-"""
-
-
-def _graphml_node(vertex: str, data: Mapping[str, str]) -> str:
-    values = "".join(_datum(name, data[name]) for name in ("label", "kind", "type"))
-    return f"    <node id={_quoted(vertex)}>\n{values}    </node>\n"
-
-
-def _graphml_edge(source: str, target: str, data: Mapping[str, int]) -> str:
-    values = "".join(_datum(name, str(data[name])) for name in ("messages", "bytes"))
-    ends = f"source={_quoted(source)} target={_quoted(target)}"
-    return f"    <edge {ends}>\n{values}    </edge>\n"
-
-
-def _datum(key: str, value: str) -> str:
-    inside = f">{escape(_valid(value))}</data>" if value else " />"
-    return f'      <data key="{key}"{inside}\n'
+    ordered: RosGraph = nx.DiGraph()
+    for vertex in sorted(graph):
+        data = graph.nodes[vertex]
+        values = {name: _valid(data[name]) for name in ("label", "kind", "type")}
+        ordered.add_node(_valid(vertex), **values)
+    for source, target, traffic in sorted(graph.edges(data=True)):
+        ordered.add_edge(_valid(source), _valid(target), **traffic)
+    nx.write_graphml_xml(ordered, path)
 
 
 def read_gexf(path: Path) -> RosGraph:

@@ -34,11 +34,6 @@ def feature_tables(root: Path, table: TableName) -> list[Path]:
     return sorted(root.glob(f"{FEATURES}/{table}/*/*.parquet"))
 
 
-def traces(root: Path) -> Path:
-    """Return ``<root>/traces``, the folder of the signals of runs, by mode."""
-    return root / "traces"
-
-
 def dataset(root: Path, name: str) -> Path:
     """Return ``<root>/datasets/<name>.parquet``, a table over many runs."""
     return root / DATASETS / f"{name}.parquet"
@@ -72,19 +67,9 @@ def foreign_page(root: Path) -> Path:
     return root / REPORT / "foreign.html"
 
 
-def search(root: Path, scenario: str) -> Path:
-    """Return ``<root>/searches/<scenario>``, the folder of the search that varied a scenario."""
-    return root / SEARCHES / scenario
-
-
 def searches(root: Path) -> list[Path]:
-    """Return the folders of all searches below a root, sorted by scenario."""
+    """Return the folders ``<root>/searches/<name>`` of all searches, sorted by name."""
     return sorted(path.parent for path in (root / SEARCHES).glob(f"*/{FINDINGS}"))
-
-
-def search_corpus(root: Path) -> Path:
-    """Return ``<root>/searches/corpus``, the folder of scenarios that searches found."""
-    return root / SEARCHES / "corpus"
 
 
 def report_run_pages(root: Path) -> Path:

@@ -1,4 +1,4 @@
-"""Confusion matrix, rates, AUC and ROC curve over distinct runs.
+"""Confusion matrix, rates and AUC over distinct runs.
 
 Rows may be copies drawn by a bootstrap: every metric here takes one value for each *run* and
 weights it by the number of copies. So the value is that of the rows, and the interval that of the
@@ -232,50 +232,6 @@ def auc(
 
 def _has_both(malicious: NDArray[np.bool_]) -> bool:
     return bool(malicious.any() and not malicious.all())
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class RocCurve:
-    """A ROC curve with a pointwise 95% band; arrays of shape (n_points,)."""
-
-    fpr: NDArray[np.float64]
-    tpr: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-
-
-def roc_curve(score: NDArray[np.float64], runs: DistinctRuns, rng: np.random.Generator) -> RocCurve:
-    """Return the ROC curve of a score on a regular grid of false-positive rates.
-
-    Parameters are those of `auc`. The band is, on each side, the wider of the Clopper-Pearson
-    interval on the malicious runs and the percentiles over resampled blocks.
-
-    Raises
-    ------
-    MetricError
-        A class is missing.
-    """
-    scored = select(runs, ~np.isnan(score))
-    if not _has_both(scored.malicious):
-        raise MetricError("A ROC curve needs runs of both classes; record both.")
-    # Scores descend; the curve interpolates between distinct scores.
-    parts = _by_score(score[~np.isnan(score)], scored, np.unique(scored.block))
-    positive, negative = (part[:, ::-1] for part in parts)
-    draws = np.vstack([np.ones(len(positive)), _resampled(len(positive), rng)])
-    grid = np.linspace(0.0, 1.0, 101)
-    curves = []
-    for true, false in zip(draws @ positive, draws @ negative, strict=True):
-        if true.sum() and false.sum():
-            x, y = np.append(0.0, np.cumsum(false)), np.append(0.0, np.cumsum(true))
-            curves.append(np.interp(grid, x / x[-1], y / y[-1]))
-    exact = [clopper_pearson(rate, int(scored.malicious.sum())) for rate in curves[0]]
-    low, high = np.percentile(curves, BAND, axis=0)
-    return RocCurve(
-        grid,
-        curves[0],
-        np.minimum(low, [each.low for each in exact]),
-        np.maximum(high, [each.high for each in exact]),
-    )
 
 
 def _resampled(blocks: int, rng: np.random.Generator) -> NDArray[np.float64]:

@@ -11,7 +11,6 @@ import logging
 import os
 import sys
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
@@ -19,7 +18,6 @@ from typing import Any
 
 import pluggy
 
-from oracle_pipeline.features.adapters.compiled import SUFFIXES, load_compiled
 from oracle_pipeline.features.adapters.ros_stand_ins import stand_ins
 from oracle_pipeline.features.adapters.thesis import FeatureExtractionPlugin, ThesisPlugin
 from oracle_pipeline.features.air_traffic import adsb_reports, fused_tracks
@@ -117,7 +115,7 @@ def build_manager(folder: Path | None = None) -> FeatureManager:
     for module in _BUILT_IN:
         registry.register(module)
     modules, broken = register_others(registry, folder)
-    plugins = (*_offered(registry, broken), *_compiled(folder, broken))
+    plugins = _offered(registry, broken)
     manager = FeatureManager(plugins, _thesis_plugins(modules, broken), broken, folder)
     for name, reason in broken.items():
         _log.error("Plugin %s is left out: %s", name, reason)
@@ -206,16 +204,6 @@ def _offered(registry: pluggy.PluginManager, broken: dict[str, str]) -> tuple[Fe
         except Exception as error:  # foreign code
             broken[implementation.plugin_name] = _reason(error)
     return tuple(plugins)
-
-
-def _compiled(folder: Path | None, broken: dict[str, str]) -> Iterator[FeaturePlugin]:
-    """Load the shared libraries of a folder, by name."""
-    for path in sorted(folder.iterdir() if folder is not None else ()):
-        if path.suffix in SUFFIXES:
-            try:
-                yield load_compiled(path)
-            except PluginError as error:
-                broken[path.stem] = str(error)
 
 
 def _checked(offered: Any) -> list[FeaturePlugin]:

@@ -42,15 +42,10 @@ def kept_trace(run: RunDirectory, folder: Path | None) -> pd.DataFrame:
     except DatasetError:
         pass  # missing or damaged: read the bag
     trace = _read(run)
-    keep_trace(trace, run, folder)
-    return trace
-
-
-def keep_trace(trace: pd.DataFrame, run: RunDirectory, folder: Path) -> None:
-    """Write the trace of a run to its file."""
     fields = {name: {"unit": signal.unit} for name, signal in SIGNALS.items()}
     trace.attrs["fields"] = Fields({TIME: {"unit": "s", _INPUTS: _inputs(run)}, **fields})
     write_table(trace, _place(run, folder))
+    return trace
 
 
 def _place(run: RunDirectory, folder: Path) -> Path:

@@ -24,7 +24,6 @@ AMBER = "#a8761a"
 COLORS = {"normal": "#3f83d8", "control": "#1f9486", "malicious": "#d4583a"}
 MARKERS = {"normal": "o", "control": "s", "malicious": "^"}
 SERIES = ("#3f83d8", "#d4583a", "#1f9486", "#8b6fd0", AMBER)
-DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 
 DPI = 160
 PALETTE = 128  # colours of a picture; saves two thirds of the bytes in Dagster's event log

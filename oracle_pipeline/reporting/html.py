@@ -19,7 +19,6 @@ from oracle_pipeline.evaluation.metrics import RESAMPLES
 from oracle_pipeline.evaluation.splits import BLOCK
 from oracle_pipeline.reporting.explanation import Explanation
 from oracle_pipeline.reporting.first_screen import Recorder, first_screen
-from oracle_pipeline.reporting.kinds_tables import tables_of_kinds
 from oracle_pipeline.reporting.searched import Searched
 from oracle_pipeline.reporting.stored_report import Report
 from oracle_pipeline.reporting.tables import (
@@ -43,7 +42,6 @@ def render(
     rates: Report,
     pairs: Report,
     side_by_side: Report,
-    radar: Mapping[str, bytes],
     provenance: Mapping[str, str],
     storage: pd.DataFrame = NO_STORAGE,
     arrived: str = "",
@@ -61,8 +59,6 @@ def render(
         Returns the command that records further runs.
     grid, rates, pairs, side_by_side : Report
         From the functions of ``oracle_pipeline.reporting.thesis_reports``.
-    radar : mapping of str to bytes
-        PNG pictures of an attacked air traffic run and its control, by run; may be empty.
     provenance : mapping of str to str
         Hash of the runs and versions of the libraries.
     storage : DataFrame
@@ -94,19 +90,10 @@ def render(
         searched=searched,
         tables={
             **_tables_of_evaluation(evaluation),
-            **tables_of_kinds(evaluation.tables),
             **{name: table(name, report.table) for name, report in thesis.items()},
             "storage": plain_table("Storage", storage),
         },
-        roc=grid.figures.get("roc"),
-        forest={
-            "rates": rates.figures["rates"],
-            "pairs": pairs.figures["pairs"],
-            "side_by_side": side_by_side.figures["reproduced"],
-        },
-        radar=[run_picture(run, png) for run, png in radar.items()],
-        trees=[*_dendrograms(grid), *_dendrograms(pairs)],
-        picture=picture,
+        trees=_dendrograms(grid),
         warning=side_by_side.summary["warning"],
         reading=_thesis_reading(pairs.table.iloc[0]),
         provenance={**provenance, **_draws(pairs, evaluation)},

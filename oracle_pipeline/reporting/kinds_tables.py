@@ -1,40 +1,22 @@
-"""The comparison of several kinds of oracle: tables of the report, text and JSON."""
+"""The comparison of several kinds of oracle: text and JSON."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import replace
 
 import pandas as pd
 
 from oracle_pipeline.bags.terminal import aligned_lines
 from oracle_pipeline.evaluation.kinds_comparison import KindsComparison
-from oracle_pipeline.reporting.stored_report import Report
 from oracle_pipeline.reporting.tables import PageColumn, PageTable, table
 
-KINDS, BY_MODE = "kinds", "kinds_by_mode"
 _FEW = 20  # most recordings without a label to show p-values of; JSON has all
 
 
-def with_kinds(report: Report, comparison: KindsComparison) -> Report:
-    """Return the report on an evaluation, with the tables of the kinds of oracle added."""
-    return replace(report, tables={**report.tables, **_named(comparison)})
-
-
-def _named(comparison: KindsComparison) -> dict[str, pd.DataFrame]:
-    return {KINDS: comparison.oracles, BY_MODE: comparison.by_mode}
-
-
-def tables_of_kinds(found: Mapping[str, pd.DataFrame]) -> dict[str, PageTable]:
-    """Return the tables of the page by name; none if the kinds were not compared."""
-    if KINDS not in found:
-        return {}
-    by_mode = found[BY_MODE]
+def table_of_modes(comparison: KindsComparison) -> PageTable:
+    """Return a row for each mode: the share of runs that each oracle calls anomalous."""
+    by_mode = comparison.by_mode
     names = list(dict.fromkeys(by_mode["oracle"])) if len(by_mode) else []
     columns = [PageColumn(name, name, "share called anomalous") for name in names]
-    return {
-        KINDS: table(KINDS, found[KINDS]),
-        BY_MODE: table(BY_MODE, _side_by_side(by_mode), columns),
-    }
+    return table("kinds_by_mode", _side_by_side(by_mode), columns)
 
 
 def _side_by_side(by_mode: pd.DataFrame) -> pd.DataFrame:
@@ -56,7 +38,7 @@ def as_text(comparison: KindsComparison, far: float) -> str:
     shown = oracles.assign(needs=count + oracles["asks"])
     if "seconds_a_run" in oracles:
         shown["ms_a_run"] = 1e3 * oracles["seconds_a_run"]
-    by_mode = tables_of_kinds(_named(comparison))[BY_MODE]
+    by_mode = table_of_modes(comparison)
     sections = [[f"Nominal false positive rate: {far:g}, sessions held out"]]
     sections.append([*table("kinds_in_terminal", shown).lines()])
     sections.append([*by_mode.lines()] if by_mode.rows else [])

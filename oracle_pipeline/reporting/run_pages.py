@@ -11,16 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.scratch import replaced_folder
 from oracle_pipeline.detectors import Deviation, by_family
 from oracle_pipeline.evaluation.card_verdicts import RATE
-from oracle_pipeline.evaluation.unusual_windows import UnusualWindows
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.reporting.explanation import drawn
-from oracle_pipeline.reporting.heat_strip import HeatStrip, heat_strip
 from oracle_pipeline.reporting.stored_report import Report
 from oracle_pipeline.reporting.tables import PageTable, evidence_table, table
 from oracle_pipeline.reporting.templating import run_page, run_picture, template
@@ -44,7 +41,6 @@ class ShownRuns:
     measured: MeasuredRuns
     evaluation: Report  # of `oracle_pipeline.reporting.evaluation_report`
     deviations: Mapping[str, Sequence[Deviation]]  # by run
-    unusual: UnusualWindows | None  # of the windows of `measured`; None: too few blocks
     path: Callable[[str], Path]  # of a run's folder
     film: str  # file name of the film in that folder, if there is one
     manifest: Callable[[str], Manifest]
@@ -90,13 +86,12 @@ def _pages(shown: ShownRuns) -> Iterator[tuple[str, str]]:
     usual = dict(results["task_uncertainty"][["quantity", "uncertainty"]].to_numpy())
     raised = results["raised"]
     for number, run in enumerate(features["run_id"]):
-        row, of_run = features.iloc[[number]], windows_of[number]
+        row = features.iloc[[number]]
         manifest = shown.manifest(run)
         deviations = shown.deviations.get(run, ())
-        tables = FeatureTables(row, measured.windows.iloc[of_run])
+        tables = FeatureTables(row, measured.windows.iloc[windows_of[number]])
         pictures, undrawn = drawn([run], shown.picture)
         of_judged = judged.loc[run] if run in judged.index else None
-        alarms_s = raised.loc[raised["run_id"] == run, "at_s"].tolist()
         yield (
             run,
             template("run.html.j2").render(
@@ -110,7 +105,7 @@ def _pages(shown: ShownRuns) -> Iterator[tuple[str, str]]:
                 goals=_goals(manifest),
                 pictures=[run_picture(run, png) for run, png in pictures.items()],
                 undrawn=undrawn,
-                strip=_strip(shown, of_run, manifest, alarms_s),
+                alarms_s=raised.loc[raised["run_id"] == run, "at_s"].tolist(),
                 evidence=evidence_table(
                     f"What is unusual in {run}", farthest_features(deviations, tables)
                 ),
@@ -148,20 +143,6 @@ def _families(deviations: Sequence[Deviation], columns: Sequence[str]) -> PageTa
         outside = families["unusual"].astype(str) + " of " + families["compared"].astype(str)
         families = families.assign(outside=outside)
     return table("unusual_families", families)
-
-
-def _strip(
-    shown: ShownRuns, windows: NDArray[np.intp], manifest: Manifest, alarms_s: Sequence[float]
-) -> HeatStrip | None:
-    if shown.unusual is None or not len(windows):
-        return None
-    return heat_strip(
-        shown.unusual.where(windows),
-        manifest.recording_s,
-        manifest.onset_s if manifest.label == "malicious" else None,
-        [goal.ended_s for goal in manifest.goal_results if goal.ended_s is not None],
-        alarms_s,
-    )
 
 
 def _film(path: Path, name: str) -> str:

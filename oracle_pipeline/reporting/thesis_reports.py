@@ -2,21 +2,18 @@
 
 The first four apply one variant of the thesis's method, which draws copies of runs and clusters
 them. `side_by_side` compares both variants with the printed results. Tables are built in
-``thesis_tables``, pictures in ``figures``; our own evaluation is in ``evaluation_report``.
+``thesis_tables``, dendrograms in ``charts``; our own evaluation is in ``evaluation_report``.
 """
 
 import numpy as np
 import pandas as pd
 
-from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bootstrap import distinct_runs, lacking
 from oracle_pipeline.clustering.grid_settings import GridSettings, Measure
-from oracle_pipeline.clustering.scores import hac_height
 from oracle_pipeline.clustering.tree import ClusteringError
-from oracle_pipeline.datasets import DatasetError, content_hash, is_malicious
+from oracle_pipeline.datasets import content_hash, is_malicious
 from oracle_pipeline.evaluation.clustering_result import grow_over_rows
 from oracle_pipeline.evaluation.estimate import Estimate
-from oracle_pipeline.evaluation.metrics import RocCurve, auc, roc_curve
 from oracle_pipeline.evaluation.variants import VARIANTS, MethodVariant, VariantName
 from oracle_pipeline.reporting import charts, thesis_tables
 from oracle_pipeline.reporting.stored_report import Report, facts
@@ -91,19 +88,12 @@ def clustering_grid_search(
     rng = np.random.default_rng(seed)
     table = thesis_tables.grid_search_table(rows, rng, by, grid)
     pictures: dict[str, bytes] = {}
-    curves: dict[str, tuple[RocCurve, Estimate]] = {}
-    runs = distinct_runs(rows)
     for method in grid.linkages:
         try:
             tree = grow_over_rows(rows, by.columns(rows, "all"), method, by)
         except ClusteringError:
             continue  # its rows in the table give the reason
         pictures[f"dendrogram_{method}"] = charts.dendrogram(tree, list(rows["label"]))
-        if not lacking(rows):
-            height = hac_height(tree)[runs.first]
-            curves[method] = (roc_curve(height, runs, rng), auc(height, runs, rng))
-    if curves:
-        pictures["roc"] = charts.roc_curves(curves)
     summary: dict[str, float | int | str] = {"settings": len(table), "note": lacking(rows)}
     chosen = _selected(table, grid.select_by) | _thesis_choice(table)
     return Report(table, pictures, summary | _variant_facts(by) | chosen)
@@ -147,15 +137,8 @@ def malicious_rate_report(
     by = VARIANTS[variant]
     drawn = Bootstraps(n, MALICIOUS_RATE, seed, np.random.default_rng(seed), by)
     table = thesis_tables.malicious_rate_table(df, drawn)
-    ours, thesis = {}, {}
-    for _, row in table.iterrows():
-        for name, figure in (("recall", "recall"), ("false alarms", "fpr")):
-            line = f"{row['malicious_rate']:.0%} malicious, {name}"
-            ours[line] = Estimate.of_row(row, f"{figure}_best_cluster")
-            thesis[line] = row[f"thesis_{figure}"]
-    picture = charts.intervals(ours, thesis, "share of rows in the best cluster", chance=None)
     summary: dict[str, float | int | str] = {"rows": n, "seed": seed, "note": lacking(df)}
-    return Report(table, {"rates": picture}, summary | _variant_facts(by))
+    return Report(table, {}, summary | _variant_facts(by))
 
 
 def pairwise_report(
@@ -173,38 +156,12 @@ def pairwise_report(
     drawn = Bootstraps(n, malicious_rate, seed, np.random.default_rng(seed), by)
     parts = [thesis_tables.family_table(df, drawn), thesis_tables.pairwise_table(df, drawn)]
     table = pd.concat(parts, ignore_index=True)
-    ours = {
-        _line(row): Estimate.of_row(row, "balanced_accuracy_best_cluster")
-        for _, row in table.iterrows()
-    }
-    thesis = {_line(row): row["thesis_auc"] for _, row in table.iterrows()}
-    picture = charts.intervals(ours, thesis, "AUC of the best cluster's hard verdict")
-    pictures = {"pairs": picture} | _pair_dendrograms(df, drawn)
     summary: dict[str, float | int | str] = {
         "rows": n,
         "malicious_rate": malicious_rate,
         "seed": seed,
     }
-    return Report(table, pictures, summary | _variant_facts(by))
-
-
-def _line(row: pd.Series) -> str:
-    """Name a row of a chart by the attacked mode, which implies its control."""
-    return f"{row['scope'].split(' / ')[-1]}, {row['features']}"
-
-
-def _pair_dendrograms(df: pd.DataFrame, drawn: Bootstraps) -> dict[str, bytes]:
-    """Draw the tree of each pair that can be clustered, all features."""
-    pictures = {}
-    for control, attacked in PAIRS:
-        pair = df[df["mode"].isin([control, attacked])]
-        try:
-            rows, method = drawn.rows(pair), drawn.method
-            tree = grow_over_rows(rows, method.columns(rows, "all"), "ward", method)
-        except (ClusteringError, DatasetError):
-            continue  # its row in the table gives the reason
-        pictures[f"dendrogram_{attacked}"] = charts.dendrogram(tree, list(rows["label"]))
-    return pictures
+    return Report(table, {}, summary | _variant_facts(by))
 
 
 def side_by_side(
@@ -217,11 +174,6 @@ def side_by_side(
     """
     drawn = Bootstraps(n, malicious_rate, seed, np.random.default_rng(seed))
     table = thesis_tables.side_by_side_table(df, drawn)
-    names = table["thesis_source"] + ": " + table["experiment"]
-    areas = [Estimate.of_row(row, "reproduced_auc") for _, row in table.iterrows()]
-    ours = dict(zip(names, areas, strict=True))
-    thesis = dict(zip(names, table["thesis_auc"], strict=True))
-    picture = charts.intervals(ours, thesis, "AUC of the best cluster's hard verdict")
     summary: dict[str, float | int | str] = {
         "rows": n,
         "malicious_rate": malicious_rate,
@@ -229,4 +181,4 @@ def side_by_side(
         "note": lacking(df),
         "warning": THESIS_WARNING,
     }
-    return Report(table, {"reproduced": picture}, summary)
+    return Report(table, {}, summary)

@@ -45,7 +45,6 @@ def main() -> None:
 
 
 main.places |= {
-    "fuzz": "sim.commands.fuzz:fuzz",
     "grid": "sim.commands.grid:grid",
     "mutate": "sim.commands.mutate:mutate",
     "record": "sim.commands.record:record",

@@ -1,6 +1,5 @@
-"""Values of a scenario's parameters: as typed, drawn at random, or along a sweep."""
+"""Values of a scenario's parameters: as typed, or along a sweep."""
 
-import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -62,36 +61,6 @@ def _typed(parameter: Parameter, text: str) -> Any:
             except ValueError:
                 return text
     return text
-
-
-def draw(program: Program, rng: np.random.Generator) -> dict[str, Any]:
-    """Draw a value uniformly for every number that has bounds; integers include both bounds.
-
-    Parameters that the block draws, or that have no bounds, keep their values.
-
-    Raises
-    ------
-    ParameterError
-        If there is nothing to draw.
-    """
-    scenario = program.scenario
-    drawn: dict[str, Any] = {}
-    for name, parameter in program.parameters.items():
-        low, high = parameter.low, parameter.high
-        if name in scenario.drawn or low is None or high is None:
-            continue
-        match parameter.type:
-            case Number(is_integer=True):
-                ends = math.ceil(low), math.floor(high)
-                drawn[name] = int(rng.integers(*ends, endpoint=True))
-            case Number():
-                drawn[name] = float(rng.uniform(low, high))
-    if not drawn:
-        raise ParameterError(
-            f"{scenario.file}: {scenario.id} has no parameter to draw: give numbers a min and a "
-            "max, and leave drawn out."
-        )
-    return drawn
 
 
 def sweep(mode: Mode, text: str) -> Sweep:

@@ -70,13 +70,10 @@ class ScenarioError(OracleError):
     ----------
     text
         The faults.
-    found
-        Each fault by its key, if it has one.
     """
 
-    def __init__(self, text: str, found: Sequence[tuple[Key, str]] = ()) -> None:
+    def __init__(self, text: str) -> None:
         super().__init__("".join(map(_shown_character, text)))
-        self.found = tuple(found)
 
 
 def _shown_character(character: str) -> str:
@@ -208,10 +205,10 @@ def load_scenarios(path: Traversable) -> list[Scenario]:
     ScenarioError
         Naming file, line, key and expected value.
     """
-    return parse_scenarios(read(path), str(path))
+    return parse_scenarios(_read(path), str(path))
 
 
-def read(path: Traversable) -> bytes:
+def _read(path: Traversable) -> bytes:
     """Return the content of a file, at most a byte more than a scenario file may have.
 
     Raises
@@ -230,11 +227,11 @@ def read(path: Traversable) -> bytes:
 
 def parse_scenarios(data: bytes, file: str) -> list[Scenario]:
     """Return the scenarios in the text of a file; raises as ``load_scenarios`` does."""
-    text = as_text(data, file)
+    text = _as_text(data, file)
     scenarios: dict[str, Scenario] = {}
     faults: list[ScenarioError] = []
-    for document, places in documents(text, file):
-        faults += structure_faults(document, places, file)
+    for document, places in _documents(text, file):
+        faults += _structure_faults(document, places, file)
         if faults:
             continue
         scenario = Scenario(file, document, places)
@@ -248,7 +245,7 @@ def parse_scenarios(data: bytes, file: str) -> list[Scenario]:
     return list(scenarios.values())
 
 
-def as_text(data: bytes, file: str) -> str:
+def _as_text(data: bytes, file: str) -> str:
     """Return the text of a file, within the bounds; raises as ``load_scenarios`` does."""
     if len(data) > MAX_BYTES:
         raise ScenarioError(f"{file}: expected at most {MAX_BYTES} bytes, found more.")
@@ -262,13 +259,12 @@ def as_text(data: bytes, file: str) -> str:
 
 def together(faults: Sequence[ScenarioError]) -> ScenarioError:
     """Return one error with a line for each of the first faults."""
-    shown = faults[:MAX_FAULTS]
-    return ScenarioError("\n".join(map(str, shown)), [each for e in shown for each in e.found])
+    return ScenarioError("\n".join(map(str, faults[:MAX_FAULTS])))
 
 
 def _error(file: str, places: Mapping[Key, Location], key: Key, text: str) -> ScenarioError:
     place = next(places[key[:n]] for n in range(len(key), -1, -1) if key[:n] in places)
-    return ScenarioError(f"{file}:{place}: {_dotted(key)}: {text}.", [(key, text)])
+    return ScenarioError(f"{file}:{place}: {_dotted(key)}: {text}.")
 
 
 def _dotted(key: Key) -> str:
@@ -280,7 +276,7 @@ def _dotted(key: Key) -> str:
 # YAML: events to plain data, without recursion, under bounds.
 
 
-def documents(text: str, file: str) -> Iterator[tuple[Any, dict[Key, Location]]]:
+def _documents(text: str, file: str) -> Iterator[tuple[Any, dict[Key, Location]]]:
     """Yield each document with the places of its keys."""
     builder = _Builder(file)
     try:
@@ -394,7 +390,7 @@ class _Builder:
 # JSON Schema: its faults as text.
 
 
-def structure_faults(
+def _structure_faults(
     document: Any, places: Mapping[Key, Location], file: str
 ) -> list[ScenarioError]:
     """Return the faults in the structure of a document."""

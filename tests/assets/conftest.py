@@ -23,7 +23,6 @@ from tests.instances import instance_of
 FORKED = [
     "assets.worker.run",
     "assets.worker.inspections",
-    "oracle_pipeline.oracles.kept_traces",
     "oracle_pipeline.replay.picture",
     "oracle_pipeline.scoring.card",
     "oracle_pipeline.scoring.isolation",

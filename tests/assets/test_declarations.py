@@ -29,7 +29,7 @@ def test_every_asset_has_description_owner_path_and_kinds(asset: Any) -> None:
     assert asset.owners == ["team:behaviour-oracle"]
     assert asset.group_name not in (None, "default")
     assert asset.kinds
-    assert asset.tags["scope"] in ("run", "campaign", "recording", "scenario")
+    assert asset.tags["scope"] in ("run", "campaign", "recording")
     assert (asset.tags["scope"] == "campaign") == (asset.partitions_def is None)
     assert asset.metadata["place"].value.startswith("<ORACLE_HOME>/")
     assert asset.code_version

@@ -11,7 +11,6 @@ import pytest
 import uvicorn
 from dagster_webserver.webserver import DagsterWebserver
 
-from assets.attack_search import ATTACK_SEARCH
 from assets.evaluation_checks import CHECKS as OF_EVALUATION
 from assets.experiment_runs import REPRODUCIBLE
 from assets.foreign_recordings import IS_NORMAL
@@ -60,12 +59,12 @@ def test_the_ui_shows_every_asset_with_kinds_owners_and_partitions(ui: Query) ->
         "  owners { ... on TeamAssetOwner { team } }"
         "  partitionKeysByDimension { name partitionKeys } } }"
     )["assetNodes"]
-    arrived = {spec.key.path[0] for spec in (*ARRIVED, ATTACK_SEARCH)}
+    arrived = {spec.key.path[0] for spec in ARRIVED}
     assert {node["assetKey"]["path"][0] for node in nodes} == {*EVERYTHING, *arrived}
     for node in nodes:
         assert node["kinds"], node
         assert node["owners"], node
-        if node["isPartitioned"] and node["groupName"] not in ("foreign", "search"):
+        if node["isPartitioned"] and node["groupName"] != "foreign":
             mode, run = node["partitionKeysByDimension"]
             assert (mode["name"], run["name"]) == ("mode", "run")
             assert mode["partitionKeys"][:3] == [

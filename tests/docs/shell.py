@@ -35,7 +35,7 @@ REPEATED = {"compare", "learn"}  # twice on a page, these give the same again: r
 
 # Simulations that take minutes, and what ends with Ctrl-C. Their options are checked here;
 # tests/sim and tests/oracle_pipeline/live run them.
-SIMULATIONS = {"fuzz", "grid", "record", "search", "serve", "watch"}
+SIMULATIONS = {"grid", "record", "search", "serve", "watch"}
 RECORDED_HERE = ["--goals", "1"]  # but what tutorials record: one goal is a matter of seconds
 
 # Commands that need a network, a server, or hours.

@@ -1,1 +1,1 @@
-"""Other forms of plugins: shared libraries, and the thesis's contract."""
+"""Other forms of plugins: the thesis's contract."""

@@ -16,7 +16,6 @@ from oracle_pipeline.evaluation.metrics import (
     events_per_hour,
     false_positive_rate,
     quantile,
-    roc_curve,
     share,
     true_positive_rate,
 )
@@ -93,8 +92,6 @@ def test_a_missing_class_gives_an_empty_estimate():
     assert auc(np.array([1.0, 2.0]), runs, rng()) == NOTHING
     assert false_positive_rate(np.array([True, False]), runs) == NOTHING
     assert np.isnan(confusion(np.array([True, False]), runs).mcc)
-    with pytest.raises(MetricError, match="runs of both classes"):
-        roc_curve(np.array([1.0, 2.0]), runs, rng())
 
 
 def test_runs_without_a_score_are_left_out():
@@ -110,21 +107,6 @@ def test_the_interval_counts_runs_of_one_block_as_one():
     loose = auc(score, runs_of(malicious), rng())
     blocked = auc(score, runs_of(malicious, block=np.repeat(np.arange(6), 10)), rng())
     assert blocked.high - blocked.low > 1.3 * (loose.high - loose.low)
-
-
-@pytest.mark.slow
-@settings(max_examples=25)
-@given(samples())
-def test_a_roc_curve_rises_within_its_band_and_encloses_the_auc(sample):
-    score, runs = sample
-    curve = roc_curve(score, runs, rng())
-    assert (np.diff(curve.tpr) >= 0).all()
-    assert (curve.fpr[0], curve.fpr[-1], curve.tpr[-1]) == (0.0, 1.0, 1.0)
-    assert (curve.low <= curve.tpr).all()
-    assert (curve.tpr <= curve.high).all()
-    assert (curve.low < curve.high).all()  # even where all resamples agree
-    area = np.trapezoid(curve.tpr, curve.fpr)
-    assert area == pytest.approx(auc(score, runs, rng()).value, abs=0.01 * len(np.unique(score)))
 
 
 def test_figures_that_no_hard_verdict_gives_are_an_error():

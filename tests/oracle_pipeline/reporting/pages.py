@@ -24,7 +24,6 @@ from tests.oracle_pipeline.evaluation.test_kill_rates import grid_of
 
 ROWS = 60
 QUICK = ("mahalanobis", "max_z")
-GHOST, WITHOUT = "atc_ghost_static|run000", "atc_normal|run000"
 UNDRAWN = "lidar_passthrough|run003"
 
 
@@ -61,7 +60,7 @@ def page_of(df, windows, truth, **more):
 
 def parts_of(df, windows, truth, *, mutants=None, differences=None, **more):
     """Return what the page of a campaign shows; `more` is part of its provenance or forwarded."""
-    passed_on = {name: more.pop(name) for name in ("radar", "storage", "searched") if name in more}
+    passed_on = {name: more.pop(name) for name in ("storage", "searched") if name in more}
     with quickly():
         evaluation = campaign_evaluation.evaluate(
             df, windows, truth, graph_differences=differences, grid=mutants
@@ -77,7 +76,6 @@ def parts_of(df, windows, truth, *, mutants=None, differences=None, **more):
             "pairs": thesis_reports.pairwise_report(df, ROWS),
             "side_by_side": thesis_reports.side_by_side(df, ROWS),
             "provenance": {**html.provenance(df), **more},
-            "radar": {},
             **passed_on,
         }
 
@@ -105,9 +103,9 @@ def with_many_runs(report, runs=60):
 
 def searches_of_two():
     """Return the section on a search that found a miss, and on one that found none."""
-    passed = {"screened_out": False, "effect": 2.5, "score": 1.5, "p_value": 0.4}
-    caught = {"screened_out": False, "effect": 8.0, "score": 90.0, "p_value": 0.02}
-    given_up = {"screened_out": True, "effect": 0.0, "score": 70.0, "p_value": 0.02}
+    passed = {"screened_out": False, "effect": 2.5, "score": 1.5, "passed": True}
+    caught = {"screened_out": False, "effect": 8.0, "score": 90.0, "passed": False}
+    given_up = {"screened_out": True, "effect": 0.0, "score": 70.0, "passed": False}
     with TemporaryDirectory() as name:
         for scenario, findings in (("drift", [passed, caught]), ("drop", [caught, given_up])):
             folder = Path(name) / "searches" / scenario
@@ -124,7 +122,6 @@ def parts_of_the_whole():
         *campaign(30, effect=20.0),  # as many blocks as all checks need
         mutants=grid_of([1.0, 40.0], 2, used=30),
         differences=[],
-        radar={run: draw(run) for run in (GHOST, WITHOUT)},
         storage=pd.DataFrame({"mode": ["fake_object"], "full_bags": [9]}),
         searched=searches_of_two(),
         Note="<script>alert(1)</script>",

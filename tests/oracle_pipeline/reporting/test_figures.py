@@ -5,16 +5,12 @@ from matplotlib.colors import to_rgb
 
 from oracle_pipeline.bags.manifest import GoalResult
 from oracle_pipeline.clustering.tree import LINKAGES, grow_tree
-from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
-from oracle_pipeline.evaluation.metrics import RocCurve
 from oracle_pipeline.replay.scene import DrawnGrid, ReplayScene, top_down
 from oracle_pipeline.reporting import charts
 from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, MARKERS, SERIES
 
 LABELS = ["normal", "malicious", "control"] * 10
 X = np.random.default_rng(0).normal(size=(30, 4))
-DIAGONAL = np.linspace(0.0, 1.0, 11)
-CURVE = RocCurve(DIAGONAL, DIAGONAL, DIAGONAL / 2, np.sqrt(DIAGONAL))
 SCENE = ReplayScene(
     title="fake_object|run003",
     frame="map",
@@ -33,8 +29,6 @@ EMPTY = ReplayScene(
 PICTURES = {
     **{m: lambda m=m: charts.dendrogram(grow_tree(X, m), LABELS) for m in LINKAGES},
     "tree of copies": lambda: charts.dendrogram(grow_tree(np.ones((6, 1))), LABELS[:6]),
-    "roc": lambda: charts.roc_curves({"ward": (CURVE, Estimate(0.5, 0.4, 0.6))}),
-    "intervals": lambda: charts.intervals({"a": Estimate(0.5, 0.4, 0.6), "b": NOTHING}, {"a": 1.0}),
     "run": lambda: top_down(SCENE),
     "run of which little is known": lambda: top_down(EMPTY),
 }

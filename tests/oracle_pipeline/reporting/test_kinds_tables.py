@@ -1,6 +1,4 @@
-"""The report compares the results of each kind of oracle."""
-
-import pandas as pd
+"""The command compares the results of each kind of oracle."""
 
 from oracle_pipeline.evaluation.kinds_comparison import compare_kinds
 from oracle_pipeline.oracles.human import answered_by_labels
@@ -8,25 +6,14 @@ from oracle_pipeline.oracles.implicit import Implicit
 from oracle_pipeline.oracles.invariants import Invariants
 from oracle_pipeline.oracles.kind import Material
 from oracle_pipeline.oracles.requirements import Requirements
-from oracle_pipeline.reporting.kinds_tables import (
-    BY_MODE,
-    KINDS,
-    as_json,
-    as_text,
-    tables_of_kinds,
-    with_kinds,
-)
-from oracle_pipeline.reporting.stored_report import Report
+from oracle_pipeline.reporting.kinds_tables import as_json, as_text, table_of_modes
 from tests.oracle_pipeline.oracles.made_runs import campaign
 
-EMPTY = Report(pd.DataFrame(), {}, {})
 
-
-def test_page_and_terminal_show_a_row_for_each_kind_and_a_column_in_the_table_of_modes():
+def test_there_is_a_row_for_each_kind_and_a_column_in_the_table_of_modes():
     comparison = compare_kinds([Implicit(), Invariants()], campaign(errors=2.0))
-    tables = tables_of_kinds(with_kinds(EMPTY, comparison).tables)
-    assert [row[0].text for row in tables[KINDS].rows] == ["implicit", "invariants", "union"]
-    (attack,) = (row for row in tables[BY_MODE].rows if row[0].text == "attack")
+    assert comparison.oracles["oracle"].tolist() == ["implicit", "invariants", "union"]
+    (attack,) = (row for row in table_of_modes(comparison).rows if row[0].text == "attack")
     assert [cell.text for cell in attack[1:4]] == ["malicious", "24", "1.00"]
     assert attack[3].interval.startswith("[0.8")
     text = as_text(comparison, 0.05)
@@ -50,7 +37,3 @@ def test_the_list_of_recordings_says_how_many_it_does_not_show():
     tonight = runs.table.assign(label=runs.table["label"].replace("malicious", "unknown"))
     comparison = compare_kinds([Implicit()], type(runs)(tonight, runs.traces))
     assert "    4 more recordings; --format json lists all." in as_text(comparison, 0.05)
-
-
-def test_without_a_comparison_the_report_has_no_section():
-    assert tables_of_kinds(EMPTY.tables) == {}

@@ -9,13 +9,10 @@ import pytest
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Change, Manifest, Measured
 from oracle_pipeline.evaluation.run_deviations import deviations_of_runs
-from oracle_pipeline.evaluation.unusual_windows import UnusualWindows, unusual_windows
-from oracle_pipeline.reporting.heat_strip import heat_strip
 from oracle_pipeline.reporting.run_pages import ShownRuns, write_run_pages
 from oracle_pipeline.reporting.strip_plot import strip_plot
 from oracle_pipeline.reporting.templating import run_page
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.windows import HOP_S
 from tests.oracle_pipeline.datasets.synthetic import DELAY_S, campaign
 from tests.oracle_pipeline.reporting.pages import draw, oracle_report_of
 from tests.oracle_pipeline.reporting.recordings import manifest
@@ -46,7 +43,6 @@ def shown_runs(tmp_path, blocks=5):
         measured=measured,
         evaluation=evaluation,
         deviations=deviations_of_runs(features),
-        unusual=unusual_windows(measured),
         path=lambda run: tmp_path / "runs" / run.replace("|", "/"),
         film="replay.gif",
         manifest=of_run,
@@ -94,14 +90,13 @@ def test_an_attacked_run_is_shown_with_verdict_evidence_and_onset(report):
     text = page(report, ATTACKED)
     assert "attacked" in text
     assert re.search(r"Score [\d.]+, rank \d+ of 55", text)
-    assert "attack begins" in text
     assert "at 30.0 s; 12 messages changed" in text
     assert re.search(r'<th scope="row">(structural.entropy|contextual.yaw_variance)</th>', text)
 
 
 def test_the_page_of_a_normal_run_has_no_attack_and_links_its_film(report):
     text = page(report, NORMAL)
-    assert "attack begins" not in text
+    assert "attack began" not in text
     assert 'href="../../../runs/benign_noise/run002/replay.gif"' in text
     assert "oracle replay" not in text
 
@@ -111,7 +106,6 @@ def test_a_run_without_a_bag_or_picture_has_a_page_with_a_note(report):
     assert "is not drawn: &lt;no bag&gt;" in text
     assert "dropped to save space" in text
     assert "oracle replay" in text
-    assert 'class="heat"' in text
 
 
 def test_runs_of_one_block_link_to_each_other(report):
@@ -133,39 +127,6 @@ def test_the_page_of_a_run_has_both_scores_and_the_ground_truth(report):
     assert re.search(r"misbehaved: driven \+\d\.\d+ m", text)
     assert "did not misbehave" in page(report, NORMAL)
     assert "not tampered" in page(report, NORMAL)
-
-
-def test_alarms_are_marks_where_they_were_raised():
-    drawn = strip([1.0] * 5, onset_s=2.5, alarms_s=[1.25, 10.0])
-    assert drawn.alarms == [
-        (10.0, "alarm at 1.25 s"),
-        (80.0, "alarm at 10 s, 8 s after the attack began"),
-    ]
-    assert drawn.words.endswith("; alarms at 1.25 s, 10 s")
-
-
-def strip(distance, **more):
-    distance = np.atleast_2d(np.asarray(distance, dtype=np.float64)).T
-    names = np.full(distance.shape, "scan.innovation", dtype=object)
-    start_s = HOP_S * np.arange(len(distance))
-    unusual = UnusualWindows(["scan"], np.array([2.0]), distance, names, start_s)
-    return heat_strip(unusual, **{"recording_s": 12.5, "onset_s": None, "goal_ends_s": [], **more})
-
-
-def test_only_windows_outside_the_usual_range_are_cells_and_farther_ones_are_deeper():
-    (row,) = strip([1.9, 2.1, 8.0, 50.0, np.nan]).rows
-    assert [cell.x for cell in row.cells] == [20.0, 40.0, 60.0]
-    assert [cell.width for cell in row.cells] == [20.0] * 3
-    faint, deep, deepest = (cell.opacity for cell in row.cells)
-    assert faint < deep < deepest == 1.0
-    assert row.cells[2].words == "7.5 to 12.5 s: scan.innovation, z 50.0 or more"
-    assert row.usual == "≤ 2.0"
-
-
-def test_onset_and_goals_are_where_they_were_in_the_recording():
-    drawn = strip([1.0] * 5, onset_s=6.25, goal_ends_s=[2.5, 12.5])
-    assert (drawn.onset, drawn.goals) == (50.0, [20.0, 100.0])
-    assert drawn.words == "No window of 5 is outside the usual range; no alarm"
 
 
 def test_scores_keep_their_order_on_the_line_and_the_highest_normal_run_is_marked(tmp_path):

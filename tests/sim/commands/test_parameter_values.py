@@ -1,15 +1,14 @@
-"""Parameters that are typed, drawn and swept."""
+"""Parameters that are typed and swept."""
 
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from sim.commands.parameter_values import ParameterError, draw, sweep, typed
+from sim.commands.parameter_values import ParameterError, sweep, typed
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.execution import execute
 from sim.fuzzing.scenario import ScenarioError
-from sim.modes import find_mode
 from sim.testbed import Mode
 from tests.sim.fuzzing.workbench import scenario
 
@@ -64,28 +63,6 @@ def test_a_sweep_that_cannot_be_is_refused(text, expected):
     with pytest.raises(ParameterError) as refused:
         sweep(MODE, text)
     assert expected in str(refused.value)
-
-
-@given(st.integers(0, 2**32))
-def test_drawn_values_are_within_bounds_and_others_are_unchanged(seed):
-    drawn = draw(PROGRAM, np.random.default_rng(seed))
-    assert list(drawn) == ["level", "rays"]
-    assert 0.0 <= drawn["level"] <= 1.0
-    assert drawn["rays"] in range(1, 6)
-    execute(compile_scenario(MODE.scenario), 1, drawn)
-    assert drawn == draw(PROGRAM, np.random.default_rng(seed))
-
-
-def test_integers_are_drawn_uniformly_with_both_bounds():
-    rng = np.random.default_rng(1)
-    counts = np.bincount([draw(PROGRAM, rng)["rays"] for _ in range(500)], minlength=6)[1:]
-    assert len(counts) == 5
-    assert (abs(counts - 100) < 5 * np.sqrt(500 * 0.2 * 0.8)).all()
-
-
-def test_a_scenario_with_nothing_to_draw_is_refused():
-    with pytest.raises(ParameterError, match="lidar_passthrough has no parameter to draw"):
-        draw(compile_scenario(find_mode("lidar_passthrough").scenario), np.random.default_rng(1))
 
 
 def test_words_become_values_of_the_parameters_type():

@@ -198,8 +198,8 @@ def test_a_scenario_that_moves_something_needs_permission(tmp_path):
     file.write_text(run("scenario", "show", "command_injection").output)
     assert "moves nothing" in run("scenario", "check", file, expect=1).output
     run("scenario", "check", file, "--allow-actuation")
-    for words in (["fuzz", "-n", 1, "--scenario-template"], ["grid", "--over", "turn=0:1:2"]):
-        assert "moves nothing" in run(*words, file, "--out", tmp_path, expect=1).output
+    words = ("grid", "--over", "turn=0:1:2", file, "--out", tmp_path)
+    assert "moves nothing" in run(*words, expect=1).output
 
 
 @pytest.mark.parametrize("name", [*BUILTINS, "fake_object_shadow"])
@@ -331,24 +331,9 @@ def test_a_grid_with_invalid_options_states_the_valid_ones(words, code, expected
     assert expected in run("grid", *words, expect=code).stderr
 
 
-def test_fuzzed_runs_store_the_drawn_values_and_are_not_repeated(tmp_path):
-    file = tmp_path / "own.yaml"
-    file.write_text(OWN.replace("min: 0.0", "min: 0.01, max: 0.5"))
-    words = ["--scenario-template", file, "-n", 1, "--goals", 1, "--out", tmp_path, "--workers", 1]
-    run("fuzz", *words, "--seed", 5)
-    path = tmp_path / "runs/my_drift/run000/manifest.json"
-    manifest = Manifest.load(path)
-    assert 0.01 <= manifest.attack["rate"] <= 0.5
-    assert manifest.attack["rate"] != 0.1  # the default
-    assert manifest.scenario == "my_drift"
-    before = path.read_bytes()
-    run("fuzz", *words, "--seed", 5)
-    assert path.read_bytes() == before
-
-
 @pytest.mark.parametrize(
     "words", [["mutate"], ["scenario", "check"], ["scenario", "list"], ["scenario", "show"],
-              ["fuzz"], ["grid"]],
+              ["grid"]],
     ids=" ".join,
 )  # fmt: skip
 def test_every_command_has_an_example(words):
