@@ -75,11 +75,12 @@ run: setup ## Simulate the small campaign, analyse it, and say where the report 
 		--partition-range '$(FIRST)...$(LAST)'
 	@echo "Report: $${ORACLE_HOME:-$(CURDIR)/data}/report/index.html"
 
-campaign: setup ## Simulate 60 blocks of every mode and hard negative, and evaluate the oracle on them
-	ORACLE_HOME=$${ORACLE_HOME:-data/campaign} ORACLE_RUNS=60 ORACLE_GOALS_PER_RUN=4 \
+BLOCKS := 60
+campaign: setup ## Simulate BLOCKS=60 of every mode and hard negative, and evaluate the oracle on them
+	ORACLE_HOME=$${ORACLE_HOME:-data/campaign} ORACLE_RUNS=$(BLOCKS) ORACLE_GOALS_PER_RUN=4 \
 		ORACLE_NOISE_PER_RUN=1 ORACLE_NAV2=drawn \
 		dagster asset materialize -m oracle_pipeline.definitions --select '*' \
-		--partition-range 'lidar_passthrough|run000...benign_slow|run059'
+		--partition-range "lidar_passthrough|run000...benign_slow|$$(printf run%03d $$(($(BLOCKS) - 1)))"
 
 ui: setup ## Open the pipeline in the browser, on 127.0.0.1
 	oracle-ui -w workspace.yaml
