@@ -32,8 +32,9 @@ class SignalScaler(FlooredRobustScaler):
     """Scale statistics of signals, of which there are hundreds, and few recordings.
 
     The scale is at least half of the standard deviation, since MAD is 0 for a column that few
-    recordings change. A column that none changed has no scale: any change of it counts as
-    `OF_CONSTANT` scales, because among hundreds of such columns one changes by chance.
+    recordings change. A column that most do not change has no scale that can be trusted: any change
+    of it counts as at most `OF_CONSTANT` scales, because among hundreds of such columns one changes
+    by chance.
 
     Each statistic has a least scale, relative to what its signal usually does in a recording: what
     a queue or another machine does to messages is no other behaviour, though a simulator sends them
@@ -50,7 +51,8 @@ class SignalScaler(FlooredRobustScaler):
         self.indicated_ = []
         values = X[self.kept_].to_numpy(dtype=np.float64)
         deviation = np.nanstd(np.where(np.isfinite(values), values, np.nan), axis=0)
-        self.is_constant_ = deviation <= ROUNDING_FLOOR * np.abs(self.center_)
+        spread = np.nanmedian(np.abs(values - self.center_), axis=0)
+        self.is_constant_ = np.minimum(spread, deviation) <= ROUNDING_FLOOR * np.abs(self.center_)
         self.scale_ = np.maximum.reduce(
             [self.scale_, LEAST_SHARE * deviation, _least_scales(self.kept_, self.center_)]
         )

@@ -28,8 +28,11 @@ def test_scale_is_not_that_of_the_unchanging_majority():
     assert abs(scaler.transform(pd.DataFrame({"a": [1.0]}))[0, 0]) < 5.0
 
 
-def test_change_of_a_constant_counts_but_not_for_all():
-    scaler = SignalScaler({}).fit(pd.DataFrame({"a": np.ones(20), "b": np.arange(20.0)}))
+@pytest.mark.parametrize("changed_before", [0, 1])
+def test_change_of_what_seldom_changes_counts_but_not_for_all(changed_before):
+    seldom = np.ones(20)
+    seldom[:changed_before] += 1e-4
+    scaler = SignalScaler({}).fit(pd.DataFrame({"a": seldom, "b": np.arange(20.0)}))
     changed = scaler.transform(pd.DataFrame({"a": [7.0], "b": [1e6]}))[0]
     assert changed == pytest.approx([5.0, 50.0])
 
