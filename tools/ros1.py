@@ -56,7 +56,7 @@ def main() -> None:
             bags = [_recorded(work, name, next(seeds)) for _ in range(count)]
             told = [_oracle("score", bag, "--reference", card, "--format", "json") for bag in bags]
             codes = [each.returncode for each in told]
-            first = json.loads(told[0].stdout)[0]["headline"]
+            first = json.loads(told[0].stdout)["recordings"][0]["summary"]
             print(f"| {name} | {codes.count(1)} of {count} | {first} |", flush=True)
 
 
