@@ -146,9 +146,11 @@ def _record(table: Path) -> Path:
 
 
 def _read(root: Path, mode: str, name: str) -> KeptTables | None:
-    place = _record(layout.feature_table(root, "run", mode, name))
+    table = layout.feature_table(root, "run", mode, name)
+    place = _record(table)
     stamp = _stamp(place)
-    content = None if stamp == _NOTHING else _content(place, stamp)
+    missing = stamp == _NOTHING or not table.is_file()  # somebody may have deleted the table
+    content = None if missing else _content(place, stamp)
     return KeptTables(root, mode, name, content["runs"], content["tables"]) if content else None
 
 
