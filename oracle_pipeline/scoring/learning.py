@@ -1,7 +1,7 @@
 """Learns reference cards from normal runs, one for each kind of system in a reference."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -42,6 +42,7 @@ from oracle_pipeline.scoring.verdict import CardOrigin, ScoringError
 DISTRIBUTION = "ros2-behaviour-oracle"
 LONG = 20  # windows of a recording; in a shorter one, signals of the whole show a short fault
 COMMON_SIGNAL = 0.8  # least share of the rows in which a signal is, to be compared
+OF_SETTING = 0.2  # a signal that changes less in a recording than this, of what these differ by
 WINDOWS_UNKNOWN = (
     "The reference has no features of windows, so only whole recordings are compared: a short "
     "attack in a long recording may be missed. Use a table with windows.parquet beside it."
@@ -150,14 +151,15 @@ def _with_signals(of_features: Design, runs: MeasuredRuns) -> Design:
     Features of any bag measure bytes and rates. Signals tell more about a robot that has no other
     features: they have every number, and the time between messages.
     """
-    run_signals = common_signals(runs.features)
+    settings = settings_among(runs.features)
+    run_signals = common_signals(runs.features, settings)
     if not run_signals:
         return of_features
     fields = field_metadata(runs.features)
     knows_robot = any(fields[c].get("origin") != "generic" for c in of_features.run_features)
     is_long = common_length(runs.counts) >= LONG
     levels = (*(OF_FEATURES if knows_robot else ()), *OF_SIGNALS[: 4 if is_long else 3])
-    window_signals = common_signals(runs.windows) if is_long else ()
+    window_signals = common_signals(runs.windows, settings) if is_long else ()
     return replace(
         of_features, run_signals=run_signals, window_signals=window_signals, levels=levels
     )
@@ -171,11 +173,38 @@ def _of_detector(ours: Design, name: str) -> Design:
     )
 
 
-def common_signals(table: pd.DataFrame) -> tuple[str, ...]:
-    """Return the columns of signals that nearly all rows have."""
+def common_signals(table: pd.DataFrame, settings: Collection[str] = ()) -> tuple[str, ...]:
+    """Return the columns of signals that nearly all rows have, without the levels of settings."""
     columns = signal_columns(table)
     given = np.isfinite(table[columns].to_numpy(dtype=np.float64)).mean(axis=0)
-    return tuple(c for c, share in zip(columns, given, strict=True) if share >= COMMON_SIGNAL)
+    return tuple(
+        column
+        for column, share in zip(columns, given, strict=True)
+        if share >= COMMON_SIGNAL and not _is_level_of(settings, column)
+    )
+
+
+def settings_among(runs: pd.DataFrame) -> set[str]:
+    """Return the signals that hardly change within recordings, beside how these differ.
+
+    They are settings, or the world, such as the size of the map. Their level says where a robot is,
+    not what it does: in a world that was never seen, it would be far from usual. Times between
+    messages are none: a rate is behaviour.
+    """
+    found = set()
+    for column in signal_columns(runs):
+        signal, _, statistic = column.rpartition(".")
+        spread = f"{signal}.std"
+        if statistic == "mean" and spread in runs and not signal.endswith("/period"):
+            within, between = np.median(np.nan_to_num(runs[spread])), np.nanstd(runs[column])
+            if within <= OF_SETTING * between:
+                found.add(signal)
+    return found
+
+
+def _is_level_of(settings: Collection[str], column: str) -> bool:
+    signal, _, statistic = column.rpartition(".")
+    return statistic in ("mean", "min", "max") and signal in settings
 
 
 def card_source(

@@ -49,7 +49,7 @@ NOT_RUN = {
 
 _EXIT = re.compile(r"\s+#(?: exit (\d)\b)?[^'\"]*$")
 _ASSIGNMENT = re.compile(r"(\w+)=(.*)", re.S)
-_KEY = re.compile(r"([a-z0-9_]+)\|run\d{3}")
+_KEY = re.compile(r"([a-z0-9_]+)\|run\d{3,}(-\d{3,})?")
 
 
 class PageError(AssertionError):

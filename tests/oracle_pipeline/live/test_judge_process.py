@@ -138,8 +138,8 @@ def test_values_that_live_windows_lack_change_little(both):
     for column in feature_columns(whole):
         if column.startswith(LATER):
             assert (live[column].isna() == whole[column].isna()).mean() > 0.9, column
-            apart = (live[column] - whole[column]).abs() / features[column].floor
-            assert apart.median() <= 3.0, column
+            apart = (live[column] - whole[column]).abs().dropna() / features[column].floor
+            assert apart.empty or apart.median() <= 3.0, column
 
 
 def test_a_message_on_a_latched_topic_is_kept_regardless_of_its_age(recorded_run):
