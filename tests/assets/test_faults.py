@@ -1,7 +1,7 @@
 """Processes that are killed at any time, and concurrent requests for the same run."""
 
 import shutil
-import time
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -49,15 +49,21 @@ def test_a_killed_write_leaves_the_old_or_the_new_table_or_report(
     # A file that replaces another, as pages do, and a folder.
     written = {"datasets": "feature_dataset", "report/parts": "bootstrapped_dataset"}
     for folder, asset in written.items():
-        running = start_asset(tmp_path, [asset])
-        wait_for_step(tmp_path, running)
-        while not list((root / folder).glob(".*")):
-            assert running.poll() is None
-            time.sleep(0.001)
+        running = next(filter(None, (writing(tmp_path, root / folder, asset) for _ in range(9))))
         assert end(running, "kill all") == []
         assert state_of_aggregates(root) == expected
     assert all(made(root, asset).success for asset in written.values())
     assert compared(root, expected) == []
+
+
+def writing(home: Path, folder: Path, asset: str) -> "subprocess.Popen[bytes] | None":
+    """Return the process of an asset while it writes; None if it ended before it was seen to."""
+    running = start_asset(home, [asset])
+    wait_for_step(home, running)
+    while running.poll() is None:
+        if list(folder.glob(".*")):
+            return running
+    return None
 
 
 def test_an_interrupted_evaluation_ends_soon_and_leaves_nothing(
