@@ -184,12 +184,15 @@ class ClosedLoop:
     def _control(self, proposal: Proposal) -> RunDirectory:
         return RunDirectory(self.controls, CONTROL, proposal.block)
 
+    def _judged_control(self, proposal: Proposal) -> "_JudgedRecording":
+        return _judged_once(self._control(proposal), self.card, self.far)
+
     def _judge(self, directory: RunDirectory) -> "_JudgedRecording":
         return _judged(directory, self.card, self.far)
 
     def _passes(self, verdict: Verdict, proposal: Proposal) -> bool:
         held = against(verdict, self.far)
-        usual = _against_control(self._control(proposal), self.card, self.far)
+        usual = against(self._judged_control(proposal).verdict, self.far)
         return FEATURES not in held and held <= usual
 
     def _finding(
@@ -218,7 +221,7 @@ class ClosedLoop:
             p_value=verdict.p_value,
             passed=self._passes(verdict, proposal),
             families=tuple(each.family for each in verdict.families if each.unusual),
-            moved=_moved(judged.tables.run, control, self.card),
+            moved=_moved(judged.tables.run, self._judged_control(proposal).tables.run, self.card),
         )
 
 
@@ -235,6 +238,9 @@ def _judged(directory: RunDirectory, card: Path, far: float) -> _JudgedRecording
     return _JudgedRecording(ours.tables, verdict)
 
 
+_judged_once = functools.cache(_judged)  # a control, which many trials are compared with
+
+
 def against(verdict: Verdict, far: float) -> set[str]:
     """Return all that a verdict holds against a recording."""
     held = {f"contract: {line}" for line in verdict.contract}
@@ -244,11 +250,6 @@ def against(verdict: Verdict, far: float) -> set[str]:
     if verdict.p_value is None or verdict.p_value <= far:
         held.add(FEATURES)
     return held
-
-
-@functools.cache
-def _against_control(control: RunDirectory, card: Path, far: float) -> set[str]:
-    return against(_judged(control, card, far).verdict, far)
 
 
 def task_effects(
@@ -289,10 +290,10 @@ def margins(attacked: Manifest, control: Manifest) -> dict[str, float]:
     return found
 
 
-def _moved(attacked: pd.DataFrame, control: RunDirectory, card: Path) -> tuple[str, ...]:
+def _moved(attacked: pd.DataFrame, control: pd.DataFrame, card: Path) -> tuple[str, ...]:
     """Return the features that differ from those of the control."""
     ranges = _ranges(card)
-    difference = _scaled(attacked, ranges) - _scaled_control(control, card)
+    difference = _scaled(attacked, ranges) - _scaled(control, ranges)
     changed = np.flatnonzero(np.nan_to_num(np.abs(difference)) >= MOVED_SCALES)
     return tuple(ranges.scaler.kept_[j] for j in changed.tolist())
 
@@ -302,11 +303,6 @@ def _scaled(row: pd.DataFrame, ranges: UsualRanges) -> NDArray[np.float64]:
     scaler = ranges.scaler
     values = row.reindex(columns=scaler.kept_).iloc[0].to_numpy(dtype=np.float64)
     return np.asarray((values - scaler.center_) / scaler.scale_, dtype=np.float64)
-
-
-@functools.cache
-def _scaled_control(control: RunDirectory, card: Path) -> NDArray[np.float64]:
-    return _scaled(_extracted(control, card).tables.run, _ranges(card))
 
 
 @functools.cache

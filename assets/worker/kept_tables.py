@@ -53,10 +53,7 @@ class KeptTables:
 
     def is_intact(self) -> bool:
         """Return whether no table has changed since it was written."""
-        return all(
-            self.hashes.get(table) == _sha256(self.place(table), _stamp(self.place(table)))
-            for table in TABLES
-        )
+        return self.hashes == _hashes(self.root, self.mode, self.name)
 
     def record(self) -> None:
         """Write the record, after the tables."""
@@ -104,9 +101,7 @@ def read_tables(runs: Iterable[RunDirectory], table: TableName) -> Iterator["pd.
 def keep_tables(run: RunDirectory, inputs: str, figures: Mapping[TableName, Any]) -> None:
     """Record the tables of a run, which have been written, with the hash of their inputs."""
     record = {run.run_id: {"inputs": inputs, "figures": figures}}
-    KeptTables(
-        run.root, run.mode, run.run_id, record, _hashes(run.root, run.mode, run.run_id)
-    ).record()
+    _keep_record(run.root, run.mode, run.run_id, record)
 
 
 def join_tables(runs: Sequence[RunDirectory], name: str) -> None:
@@ -138,7 +133,12 @@ def _write(found: Mapping[RunDirectory, KeptTables], name: str) -> None:
         place = layout.feature_table(root, table, mode, name)
         write_table(joined[table](read_tables(found, table)), place)
     records = {run.run_id: kept.runs[run.run_id] for run, kept in found.items()}
-    KeptTables(root, mode, name, records, _hashes(root, mode, name)).record()
+    _keep_record(root, mode, name, records)
+
+
+def _keep_record(root: Path, mode: str, name: str, runs: Mapping[str, Any]) -> None:
+    """Record tables that have been written, and what is known of their runs."""
+    KeptTables(root, mode, name, runs, _hashes(root, mode, name)).record()
 
 
 def _record(table: Path) -> Path:

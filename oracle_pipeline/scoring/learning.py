@@ -173,7 +173,7 @@ def _of_detector(ours: Design, name: str) -> Design:
     )
 
 
-def common_signals(table: pd.DataFrame, settings: Collection[str] = ()) -> tuple[str, ...]:
+def common_signals(table: pd.DataFrame, settings: Collection[str]) -> tuple[str, ...]:
     """Return the columns of signals that nearly all rows have, without the levels of settings."""
     columns = signal_columns(table)
     given = np.isfinite(table[columns].to_numpy(dtype=np.float64)).mean(axis=0)

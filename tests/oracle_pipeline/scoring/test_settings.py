@@ -39,5 +39,6 @@ def test_a_level_that_differs_between_worlds_only_does_not_count(within: float) 
 
 def test_a_signal_that_changes_within_recordings_counts() -> None:
     runs = table(np.random.default_rng(0), within=5.0)
-    assert settings_among(runs) == set()
-    assert set(common_signals(runs)) == set(runs.columns)
+    settings = settings_among(runs)
+    assert settings == set()
+    assert set(common_signals(runs, settings)) == set(runs.columns)
