@@ -21,6 +21,8 @@ from oracle_pipeline.evaluation.integrity_checks import (
 )
 from oracle_pipeline.evaluation.splits import MIN_BLOCKS
 
+_NAMED = 3  # features without a value that the first screen names
+
 
 @dataclass(frozen=True, slots=True)
 class OpenClaim:
@@ -124,5 +126,6 @@ def _unused(df: pd.DataFrame) -> list[OpenClaim]:
     empty = [name for name in feature_columns(df) if not np.isfinite(df[name]).any()]
     if not empty:
         return []
-    named = ", ".join(empty)
+    more = f" and {len(empty) - _NAMED} more" if len(empty) > _NAMED else ""
+    named = ", ".join(empty[:_NAMED]) + more
     return [OpenClaim("Anything by features without a value", f"No run has {named}.")]
