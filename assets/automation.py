@@ -1,7 +1,7 @@
 """A job for each purpose, and the nightly schedule that re-simulates one block.
 
-All automation is off by default. The sensor is in ``assets.scenario_changes``, the job that deletes
-old Dagster runs in ``assets.run_retention``. docs/how-to/automation.md explains how to use them.
+All automation is off by default. The job that deletes old Dagster runs is in
+``assets.run_retention``. docs/how-to/automation.md explains how to use them.
 """
 
 import dagster as dg
@@ -53,18 +53,6 @@ thesis = dg.define_asset_job(
 JOBS = (everything, simulate, features, report, evaluate, thesis)
 
 
-def refreshed_runs(first: str, last: str, run_key: str | None = None) -> dg.RunRequest:
-    """Request one Dagster run that re-simulates a whole range of partitions."""
-    return dg.RunRequest(
-        run_key=run_key,
-        run_config={"ops": {"runs": {"config": {"refresh": True}}}},
-        tags={
-            "dagster/asset_partition_range_start": first,
-            "dagster/asset_partition_range_end": last,
-        },
-    )
-
-
 @dg.schedule(
     job=everything,
     cron_schedule="0 2 * * *",
@@ -78,4 +66,10 @@ def nightly(context: dg.ScheduleEvaluationContext) -> dg.RunRequest:
         RUNS.get_partitions_def_for_dimension(name).get_partition_keys() for name in ("mode", "run")
     )
     run = runs[context.scheduled_execution_time.toordinal() % len(runs)]
-    return refreshed_runs(f"{modes[0]}|{run}", f"{modes[-1]}|{run}")
+    return dg.RunRequest(
+        run_config={"ops": {"runs": {"config": {"refresh": True}}}},
+        tags={
+            "dagster/asset_partition_range_start": f"{modes[0]}|{run}",
+            "dagster/asset_partition_range_end": f"{modes[-1]}|{run}",
+        },
+    )

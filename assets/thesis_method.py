@@ -4,7 +4,7 @@ Thin wrappers of ``oracle_pipeline.reporting.thesis_reports``, which is imported
 functions, so that the code location loads without pandas and scikit-learn.
 """
 
-from typing import TYPE_CHECKING, Literal, cast
+from typing import TYPE_CHECKING, Literal
 
 import dagster as dg
 from pydantic import Field
@@ -45,21 +45,11 @@ class BootstrapConfig(TestbedConfig):
 
 
 class GridConfig(dg.Config):
-    """The grid, and the measure to select by; the defaults are the thesis's."""
+    """Where the trees of the grid are cut; the default is the thesis's."""
 
-    linkages: list[str] = Field(
-        default=["ward", "single", "complete", "average"], description="Linkages to try."
-    )
-    metrics: list[str] = Field(
-        default=["euclidean"], description="Distances to try: euclidean, cosine, correlation."
-    )
     thresholds: list[float] = Field(
         default=[2.0, 4.0],
         description="Numbers of clusters, and distances, at which trees are cut.",
-    )
-    select_by: Literal["balanced_accuracy", "accuracy", "auc", "f1", "mcc"] = Field(
-        default="balanced_accuracy",
-        description="The measure that selects the best setting. It needs labels.",
     )
 
 
@@ -84,27 +74,19 @@ def bootstrapped_dataset(config: BootstrapConfig, store: RunStore) -> dg.Materia
 
 @aggregate("thesis_method", "scipy", "scikitlearn", deps=[bootstrapped_dataset])
 def clustering_grid_search(config: GridConfig, store: RunStore) -> dg.MaterializeResult[None]:
-    """Linkages, metrics, criteria and thresholds, side by side with the thesis's table 5.1.
+    """Linkages, criteria and thresholds, side by side with the thesis's table 5.1.
 
     `pdist`, `linkage` and `fcluster` on scaled features, or in the thesis's variant on unscaled
     ones with its threshold. Each setting has confusion matrix, TPR, FPR, balanced accuracy, MCC and
     the AUC of the continuous HAC height, with intervals.
     """
-    from oracle_pipeline.clustering.grid_settings import GridSettings, Metric
-    from oracle_pipeline.clustering.tree import Linkage
     from oracle_pipeline.reporting import thesis_reports
     from oracle_pipeline.reporting.stored_report import Report
 
     with clear_failures():
         dataset = Report.load(store.results(ROWS))
-        grid = GridSettings(
-            tuple(cast(list[Linkage], config.linkages)),
-            tuple(cast(list[Metric], config.metrics)),
-            tuple(config.thresholds),
-            config.select_by,
-        )
         result = thesis_reports.clustering_grid_search(
-            dataset.table, variant=_variant(dataset), grid=grid
+            dataset.table, _variant(dataset), config.thresholds
         )
         return keep(result, store, "clustering_grid_search")
 

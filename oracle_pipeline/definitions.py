@@ -29,7 +29,6 @@ with explain_clashes():
         oracle_report,
         run_checks,
         run_retention,
-        scenario_changes,
         thesis_method,
     )
     from resources.budget import StorageBudget
@@ -86,7 +85,7 @@ def build_defs(**overrides: object) -> dg.Definitions:
             run_retention.forget_old_runs,
         ],
         schedules=[automation.nightly, run_retention.weekly],
-        sensors=[scenario_changes.changed_scenarios, arrival_sensor.arrived_recordings],
+        sensors=[arrival_sensor.arrived_recordings],
         resources=resources | overrides,
         executor=in_process_executor,  # the assets fan out themselves
     )

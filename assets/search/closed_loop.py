@@ -41,8 +41,6 @@ STEPS: Mapping[str, float] = {
     "recoveries": 1.0,
     "commands_altered": 0.05,
 }
-NEAREST_M = 0.02  # smallest clearance that counts as keeping clear
-LATEST = 2.0  # longest time that counts as in time, in units of the control's time
 FEATURES = "features"  # what a verdict holds against a recording by its p-value
 MOVED_SCALES = 3.0  # difference from the control from which a feature counts as changed
 
@@ -79,14 +77,6 @@ class Finding:
         matters: 1 or more is an effect.
     effects : mapping of str to float
         Attacked run minus control, in the unit of each quantity.
-    margin : float or None
-        Smallest distance of the run from violating a property of its behaviour, in units of a
-        change that matters. Below 0, a property is violated. None if it was not run.
-    violated : tuple of str
-        The violated properties.
-    magnitude : float or None
-        Largest change of a message, in the unit of the altered field; None if a number was no
-        longer finite.
     score, p_value : float
         As from `oracle score`.
     passed : bool
@@ -102,9 +92,6 @@ class Finding:
     screened_out: bool
     effect: float
     effects: Mapping[str, float]
-    margin: float | None
-    violated: tuple[str, ...]
-    magnitude: float | None
     score: float
     p_value: float
     passed: bool
@@ -202,21 +189,14 @@ class ClosedLoop:
         if verdict.p_value is None or verdict.score is None:  # `judge` gives both, or raises
             raise TypeError(verdict)
         effects: dict[str, tuple[float, float]] = {}
-        held: dict[str, float] = {}
         if ran:
-            unaltered = control.manifest()
             repeats = [job.directory.manifest() for job in self._repeats(proposal.block)]
-            effects = task_effects(manifest, unaltered, repeats)
-            held = margins(manifest, unaltered)
-        largest = [change.largest for change in manifest.changes]
+            effects = task_effects(manifest, control.manifest(), repeats)
         return Finding(
             proposal,
             screened_out=not ran,
             effect=max((abs(steps) for _, steps in effects.values()), default=0.0),
             effects={name: difference for name, (difference, _) in effects.items()},
-            margin=min(held.values(), default=None),
-            violated=tuple(name for name, margin in held.items() if margin < 0.0),
-            magnitude=None if None in largest else max(filter(None, largest), default=0.0),
             score=verdict.score,
             p_value=verdict.p_value,
             passed=self._passes(verdict, proposal),
@@ -269,25 +249,6 @@ def task_effects(
         step = STEPS.get(name, SHARE * max(abs(theirs[name]), 1e-9))
         effects[name] = (ours[name] - theirs[name], beyond / step)
     return dict(sorted(effects.items()))
-
-
-def margins(attacked: Manifest, control: Manifest) -> dict[str, float]:
-    """Return the distance of a run from violating each property of its behaviour.
-
-    It is in units of a change that matters; below 0 the property is violated. Properties that the
-    control violates are left out.
-    """
-    ours, theirs = behaviour(attacked), behaviour(control)
-    if not ours or not theirs:
-        return {}
-    time_s = max(theirs["under_way_s"], 1e-9)
-    found = {
-        "reaches its goals": ours["goals_reached"] - theirs["goals_reached"] + 0.5,
-        "arrives in time": (LATEST * time_s - ours["under_way_s"]) / (SHARE * time_s),
-    }
-    if theirs.get("clearance_m", 0.0) >= NEAREST_M and "clearance_m" in ours:
-        found["keeps clear"] = (ours["clearance_m"] - NEAREST_M) / STEPS["clearance_m"]
-    return found
 
 
 def _moved(attacked: pd.DataFrame, control: pd.DataFrame, card: Path) -> tuple[str, ...]:

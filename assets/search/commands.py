@@ -17,7 +17,6 @@ from sim.commands.batch import (
 
 if TYPE_CHECKING:
     from assets.search.closed_loop import Finding
-    from assets.search.objectives import ObjectiveName
     from assets.search.search import Sampler
 
 
@@ -41,12 +40,6 @@ if TYPE_CHECKING:
     help="With --topic: an operator to try, such as drift; may be given more than once.  "
     "[default: all]",
 )
-@click.option(
-    "--objective", default="evade", show_default=True,
-    type=click.Choice(["evade", "break", "boundary"]),
-    help="evade: the largest effect on the task at the smallest score. break: violate a property "
-    "of the behaviour. boundary: the smallest change of a message that is detected.",
-)  # fmt: skip
 @click.option(
     "--budget", default="100", show_default=True,
     help="When to end: a number of trials in total, or a time such as 30m or 2h.",
@@ -72,7 +65,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--screen/--no-screen", default=True, show_default=True,
-    help="For evade: skip the run of a trial that the oracle detects in an altered recording.",
+    help="Skip the run of a trial that the oracle detects in an altered recording.",
 )  # fmt: skip
 @click.option(
     "--out", default="search", show_default=True, type=click.Path(path_type=Path, file_okay=False),
@@ -90,7 +83,6 @@ def search(
     card: Path,
     topics: tuple[str, ...],
     operators: tuple[str, ...],
-    objective: "ObjectiveName",
     budget: str,
     ranges: tuple[str, ...],
     blocks: int,
@@ -104,7 +96,7 @@ def search(
     workers: int,
     **options: Any,
 ) -> None:
-    """Search for attacks that the oracle misses.
+    """Search for attacks that the oracle misses, with the largest effect at the smallest score.
 
     TEMPLATE is the name of a built-in scenario or mode, or FILE, or FILE#NAME; its parameters are
     varied. Without it, each trial chooses one of the given topics, an operator, its strength, its
@@ -123,7 +115,6 @@ def search(
         oracle-sim search --topic /odom --topic /imu --wiring absent --reference plain.card
         ORACLE_SCENARIOS=drift/misses oracle-sim record -m range_drift_miss017
     """  # noqa: D301 -- click reads the control character
-    from assets.search.objectives import OBJECTIVES
     from assets.search.outcome import MISSES, PICTURE, save
     from assets.search.search import CONTROLS, Search, SearchSettings, TrialBudget, attacks
 
@@ -132,12 +123,12 @@ def search(
     with short_errors():
         limit, of_runs, controls = TrialBudget.parse(budget), campaign(options), out / CONTROLS
         settings = SearchSettings(
-            card, of_runs, objective=objective, sampler=sampler, blocks=blocks,
+            card, of_runs, sampler=sampler, blocks=blocks,
             goals=of_runs.goals_per_run, time_limit=time_limit, far=far, screen=screen,
             allow_actuation=allow_actuation, ranges=ranges, topics=topics, operators=operators,
         )  # fmt: skip
         space = attacks(template, controls, settings)
-        click.echo(f"Varying {space.text}. Searching for {OBJECTIVES[objective].text}.")
+        click.echo(f"Varying {space.text}.")
         search = Search(out, space, settings, controls, of_runs.seed)
         _follow(search.run(limit, workers, _print_failure))
         findings = search.findings

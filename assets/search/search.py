@@ -6,6 +6,7 @@ give the same search.
 """
 
 import dataclasses
+import math
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -19,11 +20,11 @@ import optuna
 from optuna.samplers import BaseSampler, NSGAIISampler, RandomSampler, TPESampler
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
+from optuna.study import StudyDirection
 
 from assets.search.attack_space import AttackSpace, SearchError
 from assets.search.closed_loop import ClosedLoop, Finding, Proposal
 from assets.search.composed_attacks import composed_attacks
-from assets.search.objectives import OBJECTIVES, ObjectiveName
 from assets.search.scenario_parameters import scenario_attacks
 from sim.campaigns import Campaign
 from sim.fan_out import fan_out, process_pool
@@ -32,6 +33,9 @@ from sim.modes import find_mode
 CONTROLS = "controls"  # folder of the runs without an attack, in that of the search
 JOURNAL = "study.journal"
 Sampler: TypeAlias = Literal["tpe", "nsga2", "random"]
+_DIRECTIONS = (StudyDirection.MAXIMIZE, StudyDirection.MINIMIZE)  # of the values of `evasion`
+_ENOUGH = 3.0  # larger effects do not count: a stuck robot is not informative
+_BEYOND_ALL = 1e9
 _FINDING = "finding"
 _FIRST = 6  # random trials before TPE learns
 
@@ -58,7 +62,6 @@ class SearchSettings:
 
     card: Path
     campaign: Campaign
-    objective: ObjectiveName = "evade"
     sampler: Sampler = "tpe"
     blocks: int = 3
     goals: int = 1
@@ -75,8 +78,7 @@ class SearchSettings:
         campaign = dataclasses.replace(
             self.campaign, goals_per_run=self.goals, timeout_s=self.time_limit * self.goals
         )
-        screens = self.screen and OBJECTIVES[self.objective].screens
-        return ClosedLoop(campaign, self.card, self.far, screens, controls)
+        return ClosedLoop(campaign, self.card, self.far, self.screen, controls)
 
 
 def attacks(scenario: str | None, controls: Path, settings: SearchSettings) -> AttackSpace:
@@ -140,18 +142,16 @@ class Search:
         self, folder: Path, space: AttackSpace, settings: SearchSettings, controls: Path, seed: int
     ) -> None:
         self._space, self._settings = space, settings
-        self._objective = OBJECTIVES[settings.objective]
         self._loop = dataclasses.replace(
             settings.closed_loop(controls), conditions=space.conditions
         )
         folder.mkdir(parents=True, exist_ok=True)
         optuna.logging.set_verbosity(optuna.logging.WARNING)
-        directions = self._objective.directions
         try:
             self._study = optuna.create_study(
                 storage=JournalStorage(JournalFileBackend(str(folder / JOURNAL))),
-                study_name=f"{space.id} {','.join(directions)}",
-                directions=directions,
+                study_name=space.id,
+                directions=_DIRECTIONS,
                 load_if_exists=True,
             )
         except ValueError as error:
@@ -219,10 +219,27 @@ class Search:
 
     def _learn(self, trial: optuna.Trial, finding: Finding) -> Finding:
         trial.set_user_attr(_FINDING, dataclasses.asdict(finding))
-        if self._objective.wants_detected:
-            trial.set_constraint("p-value over rate", finding.p_value - self._settings.far)
-        self._study.tell(trial, self._objective.values(finding))
+        self._study.tell(trial, evasion(finding))
         return finding
+
+
+def evasion(finding: Finding) -> tuple[float, float]:
+    """Return the bounded effect, and how clearly the oracle detects the run.
+
+    Without bounds, the front would consist of stuck robots, which every oracle detects, and of
+    attacks without an effect.
+    """
+    effect = min(_ordered(finding.effect), _ENOUGH)
+    return effect, 0.0 if finding.passed else _symlog(_ordered(finding.score))
+
+
+def _ordered(value: float) -> float:
+    """Return a sortable number; one that is not finite becomes larger than all others."""
+    return value if math.isfinite(value) else _BEYOND_ALL
+
+
+def _symlog(value: float) -> float:
+    return math.copysign(math.log1p(abs(value)), value)
 
 
 def _sampler(name: Sampler, seed: int) -> BaseSampler:
@@ -237,7 +254,7 @@ def _sampler(name: Sampler, seed: int) -> BaseSampler:
 
 
 def _from_dict(document: Mapping[str, Any]) -> Finding:
-    lists = {name: tuple(document[name]) for name in ("families", "moved", "violated")}
+    lists = {name: tuple(document[name]) for name in ("families", "moved")}
     try:
         return Finding(**{**document, **lists, "proposal": Proposal(**document["proposal"])})
     except TypeError as error:

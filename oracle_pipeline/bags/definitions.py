@@ -23,13 +23,6 @@ from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import LARGEST_DEFINITION, MOST_FIELDS
 from oracle_pipeline.bags.part import Channel
 from oracle_pipeline.bags.types import TypeDefinition
-from oracle_pipeline.bags.wide_strings import (
-    ENCODINGS,
-    either,
-    has_wide_strings,
-    unbounded,
-    with_wide_strings,
-)
 
 _PREPROCESSED = re.compile(r"^[ \t]*#.*$", re.MULTILINE)  # lines for a C preprocessor
 _SEPARATOR = "=" * 80 + "\n"  # between the files of a definition
@@ -59,21 +52,13 @@ class BagTypes:
             if known is None or (channel.definition and not known.definition):
                 self._channels[channel.msgtype] = channel
         self._own = get_typestore(Stores.EMPTY)
-        self._wide = {encoding: get_typestore(Stores.EMPTY) for encoding in ENCODINGS}
         self._stores: dict[str, Typestore | BagError] = {}
-        self._decoders: dict[str, Callable[[bytes, str], Any]] = {}
 
     def decoder(self, msgtype: str) -> Callable[[bytes, str], Any]:
         """Return the function that decodes a type's bytes."""
-        if msgtype not in self._decoders:
-            store, encoding = self.store(msgtype), self._channels[msgtype].encoding
-            if encoding == "ros1":
-                self._decoders[msgtype] = store.deserialize_ros1
-            elif store in self._wide.values():
-                self._decoders[msgtype] = either(*(w.deserialize_cdr for w in self._wide.values()))
-            else:
-                self._decoders[msgtype] = store.deserialize_cdr
-        return self._decoders[msgtype]
+        store = self.store(msgtype)
+        is_ros1 = self._channels[msgtype].encoding == "ros1"
+        return store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
 
     def definition(self, msgtype: str) -> TypeDefinition:
         """Return a type's definition from the bag, or else the built-in one."""
@@ -138,13 +123,7 @@ class BagTypes:
         """Register the definition of a type; return the store that contains it."""
         if len(channel.definition) > LARGEST_DEFINITION:
             raise ValueError(f"it is longer than {LARGEST_DEFINITION} (LARGEST_DEFINITION)")
-        parsed = _parse(channel, msgtype)
-        if not has_wide_strings(parsed):
-            return self._filled(self._own, parsed, msgtype)
-        for encoding, store in self._wide.items():
-            wide = with_wide_strings(parsed, encoding) | {encoding: ENCODINGS[encoding]}
-            self._filled(store, wide, msgtype)
-        return self._wide[next(iter(ENCODINGS))]
+        return self._filled(self._own, _parse(channel, msgtype), msgtype)
 
     def _with_known(self, parsed: dict[str, Any], store: Typestore) -> dict[str, Any]:
         """Return definitions plus the built-in ones that they use and a store lacks."""
@@ -168,7 +147,7 @@ def _parse(channel: Channel, msgtype: str) -> dict[str, Any]:
     if channel.definition_format != "idl":
         # The parser does not accept the names of services.
         name = msgtype.replace("/srv/", "/msg/")
-        parsed = dict(get_types_from_msg(unbounded(definition), name))
+        parsed = dict(get_types_from_msg(definition, name))
         return {msgtype: parsed.pop(name), **parsed}
     found: dict[str, Any] = {}
     for part in definition.split(_SEPARATOR):

@@ -15,7 +15,7 @@ from oracle_pipeline.datasets import is_hard_negative
 from oracle_pipeline.detectors import Detector, DetectorError, panel
 from oracle_pipeline.evaluation import integrity_checks
 from oracle_pipeline.evaluation.alarm_metrics import judge_alarms
-from oracle_pipeline.evaluation.aspects import aspects_by_mode, aspects_table
+from oracle_pipeline.evaluation.aspects import aspects_table
 from oracle_pipeline.evaluation.card_verdicts import (
     RATE,
     CardVerdicts,
@@ -155,7 +155,6 @@ def _evaluated(
         effects=effects,
         aspects={
             "aspects": aspects_table(*of_all, steps.compared, steps.rng),
-            "aspects_by_mode": aspects_by_mode(*of_all, steps.rng),
             "task_uncertainty": effects.table(),
         },
         kills=kills,

@@ -8,7 +8,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.bootstrap import DistinctRuns, distinct_runs, lacking
-from oracle_pipeline.clustering.grid_settings import Metric, in_metric
 from oracle_pipeline.clustering.scores import hac_height, outside_largest
 from oracle_pipeline.clustering.tree import ClusteringError, Criterion, Linkage, Tree, grow_tree
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
@@ -100,7 +99,6 @@ def grow_over_rows(
     columns: Sequence[str],
     method: Linkage,
     variant: MethodVariant = CORRECTED,
-    metric: Metric = "euclidean",
 ) -> Tree:
     """Agglomerate rows by the columns and the matrix of a variant.
 
@@ -111,7 +109,7 @@ def grow_over_rows(
     """
     if len(distinct_runs(rows)) < 2:
         raise ClusteringError("Copies of one run have no clusters; at least two runs are needed.")
-    return grow_tree(in_metric(variant.matrix(rows, columns), metric), method)
+    return grow_tree(variant.matrix(rows, columns), method)
 
 
 def cluster_and_judge(
@@ -122,7 +120,6 @@ def cluster_and_judge(
     criterion: Criterion = "maxclust",
     t: float = 2.0,
     variant: MethodVariant = CORRECTED,
-    metric: Metric = "euclidean",
 ) -> ClusteringResult:
     """Cluster rows and compute the metrics; a failure gives a result with the reason.
 
@@ -138,12 +135,10 @@ def cluster_and_judge(
         How the tree is grown and cut.
     variant : MethodVariant
         Selects the columns and how the best cluster is found.
-    metric : {"euclidean", "cosine", "correlation"}
-        Distance metric.
     """
     runs = distinct_runs(rows)
     try:
-        tree = grow_over_rows(rows, columns, method, variant, metric)
+        tree = grow_over_rows(rows, columns, method, variant)
     except ClusteringError as error:
         return ClusteringResult(rows=len(rows), runs=len(runs), note=str(error))
     of_rows = tree.cut(criterion, t)

@@ -25,9 +25,9 @@ def evaluation_report(evaluation: CampaignEvaluation) -> Report:
     """Return the report on an evaluation.
 
     The main table has a row for each scorer, split and comparison, the headline first. Further
-    tables are ``alarms``, ``aspects``, ``aspects_by_mode``, ``task_uncertainty``,
-    ``task_differences``, ``checks``, ``open_claims``, ``runs``, ``raised``, ``standing`` and, with
-    a grid, ``kills``, ``mutation_scores`` and ``minimum_detectable``.
+    tables are ``alarms``, ``aspects``, ``task_uncertainty``, ``task_differences``, ``checks``,
+    ``open_claims``, ``runs``, ``raised``, ``standing`` and, with a grid, ``kills``,
+    ``mutation_scores`` and ``minimum_detectable``.
     """
     return Report(evaluation.table, {}, _summary(evaluation), _tables(evaluation))
 

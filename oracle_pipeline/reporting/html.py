@@ -124,8 +124,7 @@ def _tables_of_evaluation(evaluation: Report) -> dict[str, PageTable]:
         "verdicts": table("verdicts", judged[of_cards & ((judged["split"] == BLOCK) | overall)]),
         "scorers": table("scorers", judged[(judged["scope"] == ALL_MODES)]),
     }
-    for name in ("alarms", "aspects", "aspects_by_mode", "minimum_detectable", "mutation_scores",
-                 "kills"):  # fmt: skip
+    for name in ("alarms", "aspects", "minimum_detectable", "mutation_scores", "kills"):
         if name in further:
             tables[name] = table(name, further[name])
     return tables

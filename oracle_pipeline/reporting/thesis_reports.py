@@ -5,12 +5,13 @@ them. `side_by_side` compares both variants with the printed results. Tables are
 ``thesis_tables``, dendrograms in ``charts``; our own evaluation is in ``evaluation_report``.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bootstrap import distinct_runs, lacking
-from oracle_pipeline.clustering.grid_settings import GridSettings, Measure
-from oracle_pipeline.clustering.tree import ClusteringError
+from oracle_pipeline.clustering.tree import LINKAGES, ClusteringError
 from oracle_pipeline.datasets import content_hash, is_malicious
 from oracle_pipeline.evaluation.clustering_result import grow_over_rows
 from oracle_pipeline.evaluation.estimate import Estimate
@@ -69,9 +70,8 @@ def _variant_facts(variant: MethodVariant) -> dict[str, float | int | str]:
 
 def clustering_grid_search(
     rows: pd.DataFrame,
-    seed: int = SEED,
     variant: VariantName = "corrected",
-    grid: GridSettings = thesis_tables.THESIS_GRID,
+    thresholds: Sequence[float] = thesis_tables.GRID_THRESHOLDS,
 ) -> Report:
     """Cluster the bootstrapped rows with every setting of the grid (the thesis's table 5.1).
 
@@ -79,33 +79,33 @@ def clustering_grid_search(
     ----------
     rows : DataFrame
         The table of `bootstrapped_dataset`, of the same variant.
-    seed : int
-        Of the resamples for the intervals.
     variant : {"corrected", "thesis"}
-    grid : GridSettings
+    thresholds : sequence of float
+        Numbers of clusters, or distances.
     """
     by = VARIANTS[variant]
-    rng = np.random.default_rng(seed)
-    table = thesis_tables.grid_search_table(rows, rng, by, grid)
+    rng = np.random.default_rng(SEED)
+    table = thesis_tables.grid_search_table(rows, rng, by, thresholds)
     pictures: dict[str, bytes] = {}
-    for method in grid.linkages:
+    for method in LINKAGES:
         try:
             tree = grow_over_rows(rows, by.columns(rows, "all"), method, by)
         except ClusteringError:
             continue  # its rows in the table give the reason
         pictures[f"dendrogram_{method}"] = charts.dendrogram(tree, list(rows["label"]))
     summary: dict[str, float | int | str] = {"settings": len(table), "note": lacking(rows)}
-    chosen = _selected(table, grid.select_by) | _thesis_choice(table)
+    chosen = _selected(table) | _thesis_choice(table)
     return Report(table, pictures, summary | _variant_facts(by) | chosen)
 
 
-def _selected(table: pd.DataFrame, measure: Measure) -> dict[str, float | int | str]:
-    """Return the setting with the highest value of a measure; this needs labels."""
+def _selected(table: pd.DataFrame) -> dict[str, float | int | str]:
+    """Return the setting with the highest balanced accuracy; this needs labels."""
+    measure = "balanced_accuracy"
     if table[measure].isna().all():
         return {}
     best = table.iloc[int(table[measure].argmax())]
-    setting = f"{best['linkage']}, {best['metric']}, {best['criterion']} {best['t']:g}"
-    return {"selected_by": measure, "selected": setting, "selected_value": float(best[measure])}
+    setting = f"{best['linkage']}, {best['criterion']} {best['t']:g}"
+    return {"selected": setting, "selected_value": float(best[measure])}
 
 
 def _thesis_choice(table: pd.DataFrame) -> dict[str, float | int | str]:

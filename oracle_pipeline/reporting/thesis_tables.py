@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bags.protocol import PAIRS
-from oracle_pipeline.clustering.grid_settings import GridSettings
+from oracle_pipeline.clustering.tree import CRITERIA, LINKAGES
 from oracle_pipeline.datasets import DatasetError
 from oracle_pipeline.evaluation.clustering_result import ClusteringResult, cluster_and_judge
 from oracle_pipeline.evaluation.comparisons import ALL_MODES
@@ -28,7 +28,7 @@ from oracle_pipeline.reporting.thesis_figures import (
     ThesisFigure,
 )
 
-THESIS_GRID = GridSettings()
+GRID_THRESHOLDS = (2.0, 4.0)
 FEATURE_SETS: tuple[FeatureSet, ...] = ("all", "structural", "contextual")
 MALICIOUS_RATES = (0.1, 0.3, 0.5, 0.7, 0.9)
 
@@ -37,7 +37,7 @@ def grid_search_table(
     rows: pd.DataFrame,
     rng: np.random.Generator,
     variant: MethodVariant = CORRECTED,
-    grid: GridSettings = THESIS_GRID,
+    thresholds: Sequence[float] = GRID_THRESHOLDS,
 ) -> pd.DataFrame:
     """Judge every setting of a grid on the same rows (the thesis's table 5.1).
 
@@ -52,20 +52,18 @@ def grid_search_table(
     rng : Generator
         Draws the resamples for the intervals.
     variant : MethodVariant
-    grid : GridSettings
-        Its distances are in units of the scaled features if the variant scales.
+    thresholds : sequence of float
+        Numbers of clusters, or distances, in units of the scaled features if the variant scales.
     """
     columns = variant.columns(rows, "all")
     table = []
-    for metric, method, criterion, t in product(
-        grid.metrics, grid.linkages, grid.criteria, grid.thresholds
-    ):
-        is_printed = t == THRESHOLD[method] and metric == "euclidean"
+    for method, criterion, t in product(LINKAGES, CRITERIA, thresholds):
+        is_printed = t == THRESHOLD[method]
         if variant is THESIS and not is_printed:
             continue
-        result = cluster_and_judge(rows, columns, rng, method, criterion, t, variant, metric)
+        result = cluster_and_judge(rows, columns, rng, method, criterion, t, variant)
         figure = GRID[method, criterion] if is_printed else None
-        setting = {"metric": metric, "linkage": method, "criterion": criterion, "t": t}
+        setting = {"linkage": method, "criterion": criterion, "t": t}
         table.append(setting | result.columns() | _thesis_columns(figure))
     return pd.DataFrame(table)
 

@@ -17,7 +17,7 @@ def test_all_automation_is_off_by_default(empty: Laboratory) -> None:
     schedules = {schedule.name: schedule for schedule in defs.schedules or []}
     sensors = {sensor.name: sensor for sensor in defs.sensors or []}
     assert set(schedules) == {"nightly", "weekly"}
-    assert set(sensors) == {"changed_scenarios", "arrived_recordings"}
+    assert set(sensors) == {"arrived_recordings"}
     for schedule in schedules.values():
         assert schedule.default_status == dg.DefaultScheduleStatus.STOPPED
     for sensor in sensors.values():

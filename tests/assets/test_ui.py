@@ -86,7 +86,7 @@ def test_the_ui_shows_automations_as_switched_off(ui: Query) -> None:
     assert repository["schedules"] == [
         {"name": name, "scheduleState": off} for name in ("nightly", "weekly")
     ]
-    assert {"name": "changed_scenarios", "sensorState": off} in repository["sensors"]
+    assert {"name": "arrived_recordings", "sensorState": off} in repository["sensors"]
 
 
 def test_the_matrix_shows_which_runs_exist(ui: Query) -> None:

@@ -74,14 +74,6 @@ def test_trials_detected_in_an_altered_recording_are_not_run(
     assert finding["effects"] == {}
 
 
-def test_another_objective_in_the_same_folder_is_an_error_or_a_separate_study(
-    search: Callable[..., Result],
-) -> None:
-    assert search(1, "--range", "rate=0.5:0.9").exit_code == 0
-    again = search(1, "--objective", "boundary", "--range", "rate=0.5:0.9")
-    assert again.exit_code == 0, again.output  # a study of its own beside the first
-
-
 def test_a_search_without_a_template_chooses_topics_and_operators(
     normal_card: Path, tmp_path: Path
 ) -> None:
@@ -102,8 +94,7 @@ def miss(attack: Attack) -> Finding:
     """A run of an attack with an effect that the oracle missed."""
     return Finding(
         Proposal(7, 0, attack.document, attack.values), screened_out=False, effect=2.0,
-        effects={"driven_m": 1.5}, margin=0.5, violated=(), magnitude=0.3, score=1.0, p_value=0.4,
-        passed=True, families=(), moved=(),
+        effects={"driven_m": 1.5}, score=1.0, p_value=0.4, passed=True, families=(), moved=(),
     )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from oracle_pipeline.bags.behaviour import UNITS
 from oracle_pipeline.datasets import is_hard_negative
-from oracle_pipeline.evaluation.aspects import aspects_by_mode, aspects_table
+from oracle_pipeline.evaluation.aspects import aspects_table
 from oracle_pipeline.evaluation.comparisons import comparisons
 from oracle_pipeline.evaluation.held_out import HeldOutScores
 from oracle_pipeline.evaluation.task_effects import LEAST, task_effects
@@ -92,15 +92,6 @@ def test_each_ground_truth_is_compared_with_its_own_score():
     assert table.loc[("misbehaviour", "all modes"), "auc_within_modes"] == 1.0
     assert np.isnan(table.loc[("tampering", "all modes"), "auc_within_modes"])
     assert table.loc[("tampering", "all modes"), "malicious"] == judged.malicious.sum()
-    modes = aspects_by_mode(scores, judged, effects, rng).set_index("mode")
-    both = modes["misbehaved"].between(0.0, 1.0, inclusive="neither")
-    assert both.any()
-    assert (modes.loc[both, "auc"] == 1.0).all()
-    always = modes[modes["misbehaved"] == 1.0]
-    assert (always["called_misbehaviour"] == 1.0).all()
-    assert (modes["called_tampering"] == 0.0).all()
-    assert (modes["called_both"] == 0.0).all()
-    harmless = judged.features["mode"].str.startswith("benign_")
-    assert modes.loc["hard negatives", "runs"] == harmless.sum()
-    assert modes.loc["fake_object", "misbehaved"] > 0.95
-    assert modes.loc["lidar_passthrough", "misbehaved"] < 0.2
+    mode = judged.features["mode"].to_numpy()
+    assert effects.misbehaved[mode == "fake_object"].mean() > 0.95
+    assert effects.misbehaved[mode == "lidar_passthrough"].mean() < 0.2

@@ -82,7 +82,7 @@ def test_the_other_tables_and_pictures_exist():
     report, _ = strong()
     assert set(report.tables) == {
         "alarms", "checks", "open_claims", "runs", "standing",
-        "aspects", "aspects_by_mode", "task_uncertainty", "task_differences", "raised",
+        "aspects", "task_uncertainty", "task_differences", "raised",
         "kills", "mutation_scores", "minimum_detectable",
     }  # fmt: skip
     assert report.tables["runs"]["p"].between(0, 1).all()

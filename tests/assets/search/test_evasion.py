@@ -1,20 +1,18 @@
-"""Objectives: an attack with a clear effect that is missed is the best."""
+"""What a search looks for: an attack with a clear effect that is missed is the best."""
 
 from hypothesis import given
 from hypothesis import strategies as st
 
 from assets.search.closed_loop import Finding, Proposal
-from assets.search.objectives import OBJECTIVES
+from assets.search.search import evasion
 
-EVADE = OBJECTIVES["evade"]
 effects = st.floats(0.0, 1e6) | st.just(float("inf"))
 
 
 def finding(effect: float, score: float, *, is_passed: bool) -> Finding:
     return Finding(
-        Proposal(0, 0, {}, {}), screened_out=False, effect=effect, effects={}, margin=None,
-        violated=(), magnitude=None, score=score, p_value=0.5, passed=is_passed,
-        families=(), moved=(),
+        Proposal(0, 0, {}, {}), screened_out=False, effect=effect, effects={}, score=score,
+        p_value=0.5, passed=is_passed, families=(), moved=(),
     )  # fmt: skip
 
 
@@ -23,7 +21,7 @@ detected = st.builds(finding, effects, st.floats(3.0, 1e6), is_passed=st.just(Fa
 
 
 def dominates(ours: Finding, theirs: Finding) -> bool:
-    (effect, score), (other_effect, other_score) = (EVADE.values(f) for f in (ours, theirs))
+    (effect, score), (other_effect, other_score) = map(evasion, (ours, theirs))
     return effect >= other_effect and score <= other_score and (effect, score) != (
         other_effect, other_score,
     )  # fmt: skip
