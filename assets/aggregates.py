@@ -10,10 +10,10 @@ from assets import presentation
 from assets.asset_defaults import SINGLE_RUN, declared
 from assets.partitions import testbed_of
 from assets.worker.versions import analysis_code
-from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.remote import published
 from resources.store import RunStore
-from sim.testbeds import TESTBEDS
+from sim.modes import modes
+from sim.testbeds import TESTBEDS, require_testbed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -70,19 +70,18 @@ def run_table(store: RunStore, testbed: str) -> "pd.DataFrame":
 
     Raises
     ------
-    OracleError
+    TestbedError
         If the testbed does not exist.
     """
     from oracle_pipeline.datasets import read_table, without_empty_families
 
     place = store.dataset(DATASET)
     recorded = read_table(place, columns=["mode"])["mode"].unique()
-    of = {mode: testbed_of(mode) for mode in recorded}
+    of = {mode: testbed_of(mode) for mode in recorded if mode in modes()}
     if testbed == AUTO:
-        testbed = next(name for name in TESTBEDS if name in of.values())
-    elif testbed not in TESTBEDS:
-        raise OracleError(f"There is no testbed {testbed!r}; there are {', '.join(TESTBEDS)}.")
-    chosen = [mode for mode in recorded if of[mode] == testbed]
+        testbed = next((name for name in TESTBEDS if name in of.values()), next(iter(TESTBEDS)))
+    require_testbed(testbed)
+    chosen = [mode for mode, its in of.items() if its == testbed]
     return without_empty_families(read_table(place, rows=("mode", chosen)))
 
 

@@ -34,7 +34,7 @@ from resources.dagster_internals import output_without_event
 from resources.fleet import Fleet, in_words
 from resources.store import RunStore
 from sim.commands.progress import RunProgress
-from sim.modes import broken_scenarios
+from sim.modes import left_out
 from sim.software import run_code
 from sim.testbeds import TESTBEDS
 
@@ -52,9 +52,9 @@ EXPERIMENT_RUNS = dg.AssetSpec(
     kinds={"mujoco", "ros2"},
     **declared("run", "runs/<mode>/<run>"),
     code_version=_RUN_CODE,
-    description="""A patrol of the robot in MuJoCo, or air traffic, normal or attacked.
+    description="""A run of a testbed, normal or attacked, such as a patrol of the robot in MuJoCo.
 
-Run *i* of every mode of a testbed has the same start, goals or flights, and nuisance (block *i*).
+Run *i* of every mode of a testbed has the same task and nuisance (block *i*).
 `<root>/runs/<mode>/run003/manifest.json` holds recipe, outcome, onset, changes made by the attack,
 contacts and hashes. The same recipe gives the same messages, byte for byte. A picture of the run is
 in the metadata and in `picture.png`; `oracle replay` makes a film.""",
@@ -112,6 +112,7 @@ _DESCRIPTIONS: Mapping["RebuildResult", str] = {
     "same messages": "Re-simulated: the messages are the same.",
     "other software": "Replaced: the code, a library or the CPU has changed.",
     "other recipe": "Replaced: the recipe has changed.",
+    "not deterministic": "Replaced: no two runs of this testbed are alike.",
     "unexplained": "Re-simulation gave different messages although code, libraries, CPU and "
     "recipe are the same. Both runs are kept; the previous one stays in use.",
 }
@@ -154,7 +155,7 @@ def recorded_runs(
     budget: StorageBudget,
 ) -> Iterator[dg.AssetMaterialization | dg.AssetCheckEvaluation | dg.Output[None]]:
     """Process every run of the partitions from recipe to features, block by block."""
-    for broken in broken_scenarios():
+    for broken in left_out():
         context.log.warning(f"Left out: {broken}")
     specs = [spec for spec in SPECS if spec.key in context.selected_asset_keys]
     is_compared = REPRODUCIBLE.key in context.selected_asset_check_keys

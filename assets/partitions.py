@@ -18,7 +18,7 @@ import dagster as dg
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.protocol import runs_name
-from sim.modes import broken_scenarios, modes
+from sim.modes import left_out, modes
 from sim.testbeds import TESTBEDS, which_testbed
 
 ALL = "*"
@@ -103,5 +103,5 @@ def runs_of_modes(
 RUNS = runs_of_modes(
     chosen_modes(os.environ), run_count(os.environ), runs_per_partition(os.environ)
 )
-for broken in broken_scenarios():
+for broken in left_out():
     dg.get_dagster_logger().warning(f"Left out: {broken}")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.errors import OracleError, RunDirectoryError
 from oracle_pipeline.bags.integrity import require_undamaged
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.remote import is_local
@@ -16,12 +16,14 @@ from sim.modes import modes
 from sim.pairs import judge_pair
 from sim.software import software
 from sim.testbed import Mode, Recipe, Testbed
-from sim.testbeds import TESTBEDS, which_testbed
+from sim.testbeds import TESTBEDS, require_testbed, testbed_of, which_testbed
 
 if TYPE_CHECKING:
     from sim.testbed_run import TestbedRun
 
-RebuildResult = Literal["same messages", "other software", "other recipe", "unexplained"]
+RebuildResult = Literal[
+    "same messages", "other software", "other recipe", "not deterministic", "unexplained"
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,18 +150,17 @@ def recipe_of(manifest: Manifest) -> Recipe:
     """
     try:
         return _made(manifest.recipe).recipe.from_dict(manifest.recipe)
-    except (StopIteration, KeyError, TypeError) as error:
-        reason = error if str(error) else "no testbed has a recipe with these keys"
+    except (OracleError, KeyError, TypeError) as error:
         raise RunDirectoryError(
-            f"Run {manifest.run} of {manifest.mode} cannot be simulated from its recipe: {reason}. "
+            f"Run {manifest.run} of {manifest.mode} cannot be simulated from its recipe: {error}. "
             "It was derived from another run's bag, or is of another release; repeat the command "
             "that made it."
         ) from error
 
 
 def _made(recipe: Mapping[str, Any]) -> Testbed:
-    """Return the testbed that a recorded recipe is of."""
-    return next(testbed for testbed in TESTBEDS.values() if testbed.made(recipe))
+    """Return the testbed that a recipe is of."""
+    return require_testbed(testbed_of(recipe["scenario"]))
 
 
 def can_be_rebuilt(manifest: Manifest) -> bool:
@@ -168,7 +169,8 @@ def can_be_rebuilt(manifest: Manifest) -> bool:
         recipe_of(manifest)
     except RunDirectoryError:
         return False
-    return manifest.software == software(_made(manifest.recipe).made_by)
+    testbed = _made(manifest.recipe)
+    return testbed.deterministic and manifest.software == software(testbed)
 
 
 def compared(former: Manifest, again: Manifest) -> RebuildResult:
@@ -177,7 +179,9 @@ def compared(former: Manifest, again: Manifest) -> RebuildResult:
         return "same messages"
     if again.software != former.software:
         return "other software"
-    return "unexplained" if again.recipe == former.recipe else "other recipe"
+    if again.recipe != former.recipe:
+        return "other recipe"
+    return "unexplained" if _made(again.recipe).deterministic else "not deterministic"
 
 
 def _make(
@@ -187,13 +191,13 @@ def _make(
     accompany: "Callable[[TestbedRun], None]" = lambda _: None,
 ) -> Manifest:
     """Make a run, completely or not at all; it replaces an existing one."""
-    testbed = next(bed for bed in TESTBEDS.values() if isinstance(recipe, bed.recipe))
+    testbed = require_testbed(testbed_of(recipe.scenario))
     with directory.staged() as scratch:
         started = time.perf_counter()  # only for ``measured``: nothing recorded depends on it
         run = testbed.bring_up(recipe, scratch)
         accompany(run)
         run.go()
-        manifest = run.manifest(time.perf_counter() - started, software(testbed.made_by))
+        manifest = run.manifest(time.perf_counter() - started, software(testbed))
         if former is not None:
             _require_same(former, manifest, directory)
         manifest.save(scratch / MANIFEST_FILE)

@@ -2,22 +2,22 @@
 
 The scenario file of a mode states what its node does to the attacked topic, when, and the label of
 the runs. Modes are the six of the experiments that this project reproduces, shadow controls of
-their attacks, hard negatives, the scenarios in the folder ``ORACLE_SCENARIOS``, and those of the
-second testbed. See docs/reference/modes.md.
+their attacks, hard negatives, the scenarios in the folder ``ORACLE_SCENARIOS``, and those of other
+testbeds. See docs/reference/modes.md.
 """
 
 import functools
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
 from sim.campaigns import is_set
 from sim.fuzzing.compilation import compile_file, compile_scenario
 from sim.fuzzing.scenario import Scenario, ScenarioError, load_scenarios
-from sim.scenarios import builtin_scenarios
-from sim.testbed import Mode
-from sim.testbeds import TESTBEDS, which_testbed
+from sim.scenarios import builtin_scenarios, scenarios_in
+from sim.testbed import Mode, Testbed
+from sim.testbeds import BROKEN_TESTBEDS, BUILT_IN, TESTBEDS, which_testbed
 
 FOLDER = "ORACLE_SCENARIOS"  # environment variable: the user's folder of scenario files
 ACTUATION = "ORACLE_ALLOW_ACTUATION"  # 1: scenarios may send commands to motors
@@ -29,8 +29,8 @@ def modes() -> Mapping[str, Mode]:
     return _in_environment()[0]
 
 
-def broken_scenarios() -> tuple[str, ...]:
-    """Return the errors in files of the user's folder, which do not become modes."""
+def left_out() -> tuple[str, ...]:
+    """Return the errors of what is not there: testbeds, their modes, and the user's scenarios."""
     return _in_environment()[1]
 
 
@@ -75,21 +75,38 @@ def _in_environment() -> tuple[Mapping[str, Mode], tuple[str, ...]]:
 def _modes(
     folder: str | None, *, allow_actuation: bool
 ) -> tuple[Mapping[str, Mode], tuple[str, ...]]:
-    """Return the modes with those of a folder of scenario files, and the errors in it."""
-    builtins = builtin_scenarios()
-    found: list[Mode] = []
-    for testbed in TESTBEDS.values():
-        experiments = [builtins[name] for name in testbed.experiments]
-        found += map(Mode, [*experiments, *_shadows(experiments)])
-        found += (Mode(builtins[name], what) for name, what in testbed.hard_negatives.items())
-    own: list[Scenario] = []
-    broken: list[str] = []
+    """Return the modes with those of a folder of scenario files, and the errors."""
+    found: dict[str, Mode] = {}
+    broken = list(BROKEN_TESTBEDS)
+    for name, testbed in TESTBEDS.items():
+        try:
+            found |= {mode.id: mode for mode in _of_testbed(name, testbed, found)}
+        except (ScenarioError, OSError) as error:
+            broken.append(f"The modes of testbed {name}: {error}")
     if folder:
-        taken = [mode.id for mode in found]
-        own, broken = _in_folder(Path(folder), taken, allow_actuation=allow_actuation)
-    found += map(Mode, own)
-    found.sort(key=lambda mode: list(TESTBEDS).index(which_testbed(mode.scenario)))
-    return MappingProxyType({mode.id: mode for mode in found}), tuple(broken)
+        own, faults = _in_folder(Path(folder), found, allow_actuation=allow_actuation)
+        found |= {scenario.id: Mode(scenario) for scenario in own}
+        broken += faults
+    beds = list(TESTBEDS)
+    ordered = sorted(found.values(), key=lambda mode: beds.index(which_testbed(mode.scenario)))
+    return MappingProxyType({mode.id: mode for mode in ordered}), tuple(broken)
+
+
+def _of_testbed(name: str, testbed: Testbed, taken: Collection[str]) -> list[Mode]:
+    """Return the modes of a testbed; their scenarios are run in it, whatever they read."""
+    known = scenarios_in(testbed.scenarios)
+    scenarios: dict[str, Scenario] = {}
+    for wanted in (*testbed.experiments, *testbed.hard_negatives):
+        if wanted not in known or wanted in taken:
+            expected = "a new name" if wanted in taken else f"one of {', '.join(known)}"
+            raise ScenarioError(f"{testbed.scenarios}: expected {expected}, found {wanted}.")
+        scenario = known[wanted]
+        if name not in BUILT_IN:
+            compile_scenario(scenario)  # the tests do it for ours
+        scenarios[wanted] = scenario if which_testbed(scenario) == name else scenario.on(name)
+    experiments = [scenarios[each] for each in testbed.experiments]
+    hard = (Mode(scenarios[each], what) for each, what in testbed.hard_negatives.items())
+    return [*map(Mode, [*experiments, *_shadows(experiments)]), *hard]
 
 
 def _shadows(scenarios: Iterable[Scenario]) -> list[Scenario]:
@@ -110,6 +127,7 @@ def _in_folder(
         try:
             programs = compile_file(file, allow_actuation=allow_actuation)
             for scenario in (program.scenario for program in programs):
+                which_testbed(scenario)  # raises an error if there is none
                 if scenario.id in {*taken, *scenarios}:
                     raise scenario.error(
                         ("id",), f"expected a new name, there is a mode {scenario.id} already"

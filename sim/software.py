@@ -13,21 +13,20 @@ import llvmlite.binding
 
 from oracle_pipeline.bags.manifest import Software
 from oracle_pipeline.bags.sources import ROOT, code_hash
+from sim.testbed import Testbed
 
 # Libraries whose arithmetic, random numbers or serialisation end up in messages.
 _LIBRARIES = ("geographiclib", "llvmlite", "mujoco", "numba", "numpy", "rosbags", "scipy")
 
 
-@functools.cache
-def software(made_by: str) -> Software:
-    """Return the software of this process that makes the runs of a testbed.
+def software(testbed: Testbed) -> Software:
+    """Return the software of this process that makes the runs of a testbed."""
+    return _software(testbed.made_by, testbed.libraries)
 
-    Parameters
-    ----------
-    made_by
-        The testbed's module with the class of runs.
-    """
-    libraries = " ".join(f"{name}-{version(name)}" for name in _LIBRARIES)
+
+@functools.cache
+def _software(made_by: str, further: tuple[str, ...]) -> Software:
+    libraries = " ".join(f"{name}-{version(name)}" for name in (*_LIBRARIES, *further))
     return Software(
         code=run_code([made_by]),
         dependencies=f"python-{platform.python_version()} {libraries}",

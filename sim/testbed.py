@@ -1,11 +1,11 @@
-"""The interface of a testbed and of its experiments.
+"""The interface of a testbed and of its experiments: what a plug-in has to supply.
 
-Each testbed has a folder with a module ``testbed``; ``sim.testbeds`` lists them all.
+``sim.testbeds`` finds all testbeds. `sim.testbed_run` and `sim.timed_run` have what runs share.
 """
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -19,6 +19,8 @@ from sim.seeds import NODE, attack_seed, node_generator
 
 if TYPE_CHECKING:
     from sim.testbed_run import TestbedRun
+
+SCENARIOS = Path(__file__).with_name("scenarios")  # folder of the built-in ones
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +89,29 @@ class Mode:
         of_block = {name: block[what] for name, what in self.scenario.drawn.items()}
         return {**defaults, **drawn_values(self.scenario, run_seed), **of_block, **given}
 
+    def recipe_fields(
+        self, block: int, campaign: Campaign, drawn: Mapping[str, Any], given: Mapping[str, Any]
+    ) -> dict[str, Any]:
+        """Return the fields that the recipes of all testbeds have, for a run of this mode.
+
+        Parameters
+        ----------
+        block, campaign
+            Number of the block, which is that of the run, and the campaign.
+        drawn, given
+            What the block has drawn, and given values, for the scenario's parameters.
+        """
+        return {
+            "mode": self.id,
+            "scenario": self.scenario.document,
+            "parameters": self.parameters(drawn, given, attack_seed(campaign.seed, block)),
+            "run": block,
+            "block": block,
+            "seed": campaign.seed,
+            "storage": campaign.storage,
+            "noise": self.noise(campaign),
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
@@ -111,7 +136,7 @@ class Recipe:
 
     def campaign(self) -> Campaign:
         """Return the run's campaign, as far as the draws of its block depend on it."""
-        raise NotImplementedError
+        return Campaign(self.seed, storage=self.storage, noise_per_run=bool(self.noise))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the recipe as JSON values."""
@@ -120,8 +145,11 @@ class Recipe:
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:
-        """Return the recipe from the result of ``to_dict``."""
-        raise NotImplementedError
+        """Return the recipe from the result of ``to_dict``.
+
+        A recipe with fields that are no JSON values, such as tuples, has to convert them.
+        """
+        return cls(**document)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,14 +158,16 @@ class Testbed:
 
     Parameters
     ----------
+    scenarios
+        Folder of its scenario files; by default that of the built-in ones.
     experiments
-        Built-in scenarios that are modes, in the order in which they are shown. The shadow controls
-        of the attacks among them follow.
+        Scenarios of that folder that are modes, a normal one first, in the order in which they are
+        shown. The shadow controls of the attacks among them follow.
     hard_negatives
-        Built-in scenarios that are normal but look unusual, with the changed conditions.
+        Scenarios of that folder that are normal but look unusual, with the changed conditions.
     messages
-        Packages whose messages only this testbed has. A scenario that reads one of them runs here,
-        every other in the first testbed.
+        Packages whose messages only this testbed has. A scenario that names no testbed and reads
+        one of them runs here.
     recipe
         Class of the recipes.
     draw
@@ -146,8 +176,14 @@ class Testbed:
         Starts the system for one run, which is written into an existing and empty folder.
     made_by
         The module with the class of runs. It and its imports are the software of a run.
+    libraries
+        Distributions, besides those of this project, that the messages of a run depend on.
+    deterministic
+        Whether the same recipe and software give the same messages. If not, a bag cannot be made
+        again, so it is never dropped.
     """
 
+    scenarios: Path = SCENARIOS
     experiments: tuple[str, ...]
     hard_negatives: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     messages: frozenset[str] = frozenset()
@@ -155,7 +191,5 @@ class Testbed:
     draw: Callable[[Mode, int, Campaign, Mapping[str, Any]], Recipe]
     bring_up: Callable[[Any, Path], "TestbedRun"]
     made_by: str
-
-    def made(self, recipe: Mapping[str, Any]) -> bool:
-        """Return whether a recorded recipe is one of this testbed's, by its keys."""
-        return recipe.keys() == {item.name for item in fields(self.recipe)}
+    libraries: tuple[str, ...] = ()
+    deterministic: bool = True

@@ -1,9 +1,9 @@
 """Hashes of source code: what our own modules mean that a result depends on, by their imports.
 
 A module counts by its syntax tree, without comments, docstrings and layout. The imports, those
-inside functions too, are followed through the four packages of the distribution; nothing is
-imported for it. Trees are not read again while a file stays the same: what was found in it is kept
-in the user's cache folder.
+inside functions too, are followed through the four packages of the distribution, and through that
+of a plug-in; nothing is imported for it. Trees are not read again while a file stays the same: what
+was found in it is kept in the user's cache folder.
 """
 
 import ast
@@ -13,6 +13,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Collection, Iterable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -49,7 +50,7 @@ def code_hash(
     Parameters
     ----------
     modules
-        Dotted names of our modules.
+        Dotted names of our modules, or of those of a plug-in.
     others
         Additional texts.
     folders
@@ -66,7 +67,7 @@ def code_hash(
         modules and of the bytes of data.
     """
     digest = hashlib.sha256()
-    named = [(root, file) for file in dependencies(modules, within=within, root=root)]
+    named = _dependencies(modules, within, root)
     named += [(folder, file) for folder in folders for file in sorted(_files(folder))]
     for base, file in named:
         name = file.relative_to(base).as_posix()
@@ -90,22 +91,42 @@ def dependencies(
     LookupError
         If there is no such module.
     """
-    waiting, files = list(modules), dict[str, Path]()
+    return [file for _, file in _dependencies(modules, within, root)]
+
+
+def _dependencies(
+    modules: Iterable[str], within: Collection[str], root: Path
+) -> list[tuple[Path, Path]]:
+    """Return what ``dependencies`` does, with the folder of the package that each file is in."""
+    waiting, files = list(modules), dict[str, tuple[Path, Path]]()
+    roots = dict.fromkeys(within, root)
     for name in waiting:
-        if _file(name, root) is None:
-            raise LookupError(f"There is no module {name} in {root}.")
+        top = name.partition(".")[0]
+        place = roots[top] = root if top in PACKAGES else _place(top)
+        if _file(name, place) is None:
+            raise LookupError(f"There is no module {name} in {place}.")
     while waiting:
         name = waiting.pop()
-        if name in files or (file := _file(name, root)) is None:
+        place = roots.get(name.partition(".")[0], root)
+        if name in files or (file := _file(name, place)) is None:
             continue
-        files[name] = file
+        files[name] = place, file
         package = name if file.name == _PACKAGE else name.rpartition(".")[0]
         imported = (_absolute(each, package) for each in _modules[file].imports)
-        waiting += [each for each in imported if _is_within(each, within)]
+        waiting += [each for each in imported if _is_within(each, roots)]
         waiting += _above(name)
-    packages = [file.parent for file in files.values() if file.name == _PACKAGE]
-    data = (file for package in packages for file in _files(package, is_package=True))
+    packages = [(place, file.parent) for place, file in files.values() if file.name == _PACKAGE]
+    data = ((place, file) for place, at in packages for file in _files(at, is_package=True))
     return sorted({*files.values(), *data})
+
+
+def _place(package: str) -> Path:
+    """Return the folder that holds a package or module of a plug-in."""
+    spec = find_spec(package)
+    where = [] if spec is None else [*(spec.submodule_search_locations or [spec.origin or ""])]
+    if not where:
+        raise LookupError(f"There is no module {package}.")
+    return Path(where[0]).parent
 
 
 def imports(tree: ast.AST) -> set[str]:

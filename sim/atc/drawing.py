@@ -16,7 +16,7 @@ from sim.atc.sensors import RADAR_RANGE_M
 from sim.atc.traffic import draw_traffic
 from sim.campaigns import Campaign
 from sim.middleware.executor import SECOND
-from sim.seeds import BLOCK, SESSION, attack_seed, generator
+from sim.seeds import BLOCK, SESSION, generator
 from sim.testbed import Mode
 
 FLIGHTS = 10  # of a run
@@ -44,17 +44,10 @@ def draw(mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any]
     target = _draw_target(campaign, run, flights, session.wind)
     drawn = {"target_icao24": target.icao24, "target_callsign": target.callsign}
     return AtcRecipe(
-        mode=mode.id,
-        scenario=mode.scenario.document,
-        parameters=mode.parameters(drawn, parameters, attack_seed(campaign.seed, run)),
-        run=run,
-        block=run,
-        seed=campaign.seed,
+        **mode.recipe_fields(run, campaign, drawn, parameters),
         session=session,
         flights=flights,
         duration_s=campaign.timeout_s,
-        storage=campaign.storage,
-        noise=mode.noise(campaign),
     )
 
 

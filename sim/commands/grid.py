@@ -32,7 +32,7 @@ from sim.experiments import Job, record_job
 from sim.modes import find_mode
 from sim.scenarios import builtin_scenarios
 from sim.testbed import Mode
-from sim.testbeds import TESTBEDS, which_testbed
+from sim.testbeds import TESTBEDS, testbed_of, which_testbed
 
 
 @click.command("grid")
@@ -118,7 +118,7 @@ def _attacks(controls: Path | None, *, allow_actuation: bool) -> list[str]:
     beds = list(TESTBEDS)
     if controls is not None:
         recipe = Manifest.load(controls / "run000" / MANIFEST_FILE).recipe
-        beds = [name for name, testbed in TESTBEDS.items() if testbed.made(recipe)]
+        beds = [testbed_of(recipe["scenario"])]
     return [
         name
         for name, scenario in builtin_scenarios().items()

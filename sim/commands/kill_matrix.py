@@ -174,5 +174,5 @@ def _mutated(original: Manifest, mode: Mode, summary: Summary) -> Manifest:
         changes=summary.changes,
         topics=summary.topics,
         content_hash=summary.content_hash,
-        software=software(TESTBEDS[which_testbed(mode.scenario)].made_by),
+        software=software(TESTBEDS[which_testbed(mode.scenario)]),
     )

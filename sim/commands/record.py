@@ -1,5 +1,6 @@
 """``oracle-sim record``: runs of one mode."""
 
+import dataclasses
 import functools
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,14 @@ from sim.commands.batch import (
     number_option,
     out_option,
     refresh_option,
+    short_errors,
     workers_option,
 )
 from sim.experiments import Job, record_job
 from sim.fuzzing.scenario import ScenarioError
-from sim.modes import broken_scenarios, find_mode
+from sim.modes import find_mode, left_out
 from sim.testbed import Mode
+from sim.testbeds import TESTBEDS, require_testbed, which_testbed
 
 
 @click.command()
@@ -29,6 +32,11 @@ from sim.testbed import Mode
     "--scenario", metavar="FILE",
     help="Your own experiment: a scenario file (FILE#NAME if it holds several), or a "
     "built-in scenario that is not a mode, by its name.",
+)  # fmt: skip
+@click.option(
+    "--testbed", metavar="NAME",
+    help=f"Where: {', '.join(TESTBEDS)}. Alone, it records normal runs; with --scenario, it runs "
+    "that scenario there.  [default: that of the mode or scenario]",
 )  # fmt: skip
 @allow_actuation_option
 @number_option
@@ -47,6 +55,7 @@ from sim.testbed import Mode
 def record(
     mode: str | None,
     scenario: str | None,
+    testbed: str | None,
     allow_actuation: bool,
     number: int,
     first_block: int,
@@ -55,7 +64,7 @@ def record(
     refresh: bool,
     **options: Any,
 ) -> None:
-    """Record runs of one mode, or of a scenario.
+    """Record runs of one mode, of a scenario, or of a testbed.
 
     Run i of every mode has the same start, goals and session (block i), so runs compare across
     modes. Existing runs are kept, so the same call again completes an interrupted one.
@@ -64,21 +73,34 @@ def record(
     Examples:
         oracle-sim record -m fake_object -n 3 --out data
         oracle-sim record --scenario sensor_freeze
+        oracle-sim record --testbed atc -n 3
         oracle-sim record -m lidar_passthrough -n 14 --first-block 60 --sessions 2
         oracle features 'data/runs/fake_object/run000'
     """  # noqa: D301 -- click reads the control character
-    for broken in broken_scenarios():
+    for broken in left_out():
         click.echo(f"Left out: {broken}", err=True)
-    experiment = _experiment(mode, scenario, allow_actuation=allow_actuation)
+    experiment = _experiment(mode, scenario, testbed, allow_actuation=allow_actuation)
     blocks = range(first_block, first_block + number)
     jobs = [Job(experiment, out, block, block) for block in blocks]
     make_runs(functools.partial(record_job, campaign(options), refresh), jobs, workers)
 
 
-def _experiment(mode: str | None, scenario: str | None, *, allow_actuation: bool) -> Mode:
-    if (mode is None) == (scenario is None):
-        raise click.UsageError("Give either --mode or --scenario.")
+def _experiment(
+    mode: str | None, scenario: str | None, testbed: str | None, *, allow_actuation: bool
+) -> Mode:
+    if (mode is not None and scenario is not None) or not (mode or scenario or testbed):
+        raise click.UsageError("Give --mode, --scenario or --testbed.")
+    with short_errors():
+        name = mode or scenario or require_testbed(testbed or "").experiments[0]
     try:
-        return find_mode(mode or scenario or "", allow_actuation=allow_actuation)
+        found = find_mode(name, allow_actuation=allow_actuation)
+        its = which_testbed(found.scenario)
     except ScenarioError as error:
         raise click.BadParameter(str(error), param_hint="--scenario") from error
+    if testbed in (None, its):
+        return found
+    if scenario is None:
+        raise click.UsageError(f"{name} is a mode of testbed {its}, not of {testbed}.")
+    with short_errors():
+        require_testbed(testbed)
+    return dataclasses.replace(found, scenario=found.scenario.on(testbed))

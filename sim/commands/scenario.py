@@ -16,7 +16,7 @@ from sim.commands.batch import (
 from sim.commands.parameter_values import ranges
 from sim.fuzzing.compilation import MAX_COST, compile_file
 from sim.fuzzing.scenario import Scenario, ScenarioError
-from sim.modes import broken_scenarios, find_mode, modes
+from sim.modes import find_mode, left_out, modes
 from sim.scenarios import builtin_scenarios
 
 
@@ -78,7 +78,7 @@ def list_(form: str) -> None:
     Example:
         oracle-sim scenario list --format json
     """  # noqa: D301 -- click reads the control character
-    for broken in broken_scenarios():
+    for broken in left_out():
         click.echo(f"Left out: {broken}", err=True)
     rows = [_described(scenario) for scenario in _known().values()]
     if form == "json":

@@ -187,6 +187,10 @@ class Scenario:
         }
         return dataclasses.replace(self, document={**self.document, **changes})
 
+    def on(self, testbed: str) -> "Scenario":
+        """Return the scenario with the name of the testbed in which it is run."""
+        return dataclasses.replace(self, document={**self.document, "testbed": testbed})
+
     def error(self, key: Key, text: str) -> ScenarioError:
         """Return an error with the place of a key in the file."""
         return _error(self.file, self.places, key, text)

@@ -5,17 +5,27 @@ A recipe holds its scenario, so a run does not depend on this folder.
 
 import functools
 from collections.abc import Mapping
-from importlib.resources import files
+from pathlib import Path
 
 from sim.fuzzing.scenario import Scenario, load_scenarios
 
 
-@functools.cache
 def builtin_scenarios() -> Mapping[str, Scenario]:
     """Return the scenarios that come with the testbeds, by name, in the order of their files."""
+    return scenarios_in(Path(__file__).parent)
+
+
+@functools.cache
+def scenarios_in(folder: Path) -> Mapping[str, Scenario]:
+    """Return the scenarios of a folder, by name, in the order of its files.
+
+    Raises
+    ------
+    ScenarioError
+        If a file is invalid.
+    """
     return {
         scenario.id: scenario
-        for file in sorted(files(__package__).iterdir(), key=lambda file: file.name)
-        if file.name.endswith(".yaml")
+        for file in sorted(folder.glob("*.yaml"))
         for scenario in load_scenarios(file)
     }

@@ -24,7 +24,7 @@ from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.footprint import INSCRIBED_RADIUS
 from sim.nav2.inflation import GLOBAL_COST_SCALING, Inflation, InflationLayer
 from sim.nav2.navfn import plan
-from sim.seeds import BLOCK, attack_seed, generator, sequence
+from sim.seeds import BLOCK, generator, sequence
 from sim.testbed import Mode
 from sim.turtlebot3.arena import Arena
 from sim.turtlebot3.floor_plans import KINDS, draw_arena
@@ -197,24 +197,15 @@ def draw(
     drawn = draw_block(campaign.seed, run, campaign.goals_per_run, campaign.options.arena)
     block = _in_relation(campaign.seed, run, drawn, campaign.options.relation)
     return TurtleBot3Recipe(
-        mode=mode.id,
-        scenario=mode.scenario.document,
-        parameters=mode.parameters(
-            _drawn(block, campaign.options), parameters, attack_seed(campaign.seed, run)
-        ),
+        **mode.recipe_fields(run, campaign, _drawn(block, campaign.options), parameters),
         conditions=Conditions(**mode.conditions),
-        run=run,
-        block=run,
-        seed=campaign.seed,
         session=draw_session(campaign.seed, campaign.session_of(run)),
         arena=block.arena,
         start=block.start,
         goals=block.goals,
         fake_object=block.fake_object,
-        storage=campaign.storage,
         timeout_s=campaign.timeout_s,
         options=replace(campaign.options, nav2=_nav2(block.arena, campaign.options)),
-        noise=mode.noise(campaign),
     )
 
 

@@ -11,7 +11,7 @@ from sim.campaigns import Campaign
 from sim.experiments import recipe_for
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.scenario import ScenarioError
-from sim.modes import FOLDER, broken_scenarios, find_mode, modes
+from sim.modes import FOLDER, find_mode, left_out, modes
 from sim.scenarios import builtin_scenarios
 from sim.testbeds import which_testbed
 from tests.sim.fuzzing.workbench import INCREMENT, only, scan
@@ -106,7 +106,7 @@ def test_scenarios_of_the_users_folder_are_modes_before_air_traffic(folder):
         "nearer", "nearest", "far"
     ]  # fmt: skip
     assert modes()["nearer"].label == "malicious"
-    assert broken_scenarios() == ()
+    assert left_out() == ()
 
 
 def test_a_broken_file_is_named_with_its_line_and_the_others_still_load(folder):
@@ -116,7 +116,7 @@ def test_a_broken_file_is_named_with_its_line_and_the_others_still_load(folder):
     (folder / "d.yaml").write_text(OWN.format(name="good", by=0.9))
     assert "good" in modes()
     assert "first" not in modes()
-    compiled, schema, taken = broken_scenarios()
+    compiled, schema, taken = left_out()
     assert compiled.startswith(f"{folder}/a.yaml:7:51: transform.actions[0].do[0].scale.by:")
     assert schema.startswith(f"{folder}/b.yaml:1:1:")
     assert taken.startswith(f"{folder}/c.yaml:2:1: id: expected a new name")
@@ -126,7 +126,7 @@ def test_a_broken_file_is_named_with_its_line_and_the_others_still_load(folder):
 def test_a_missing_folder_is_an_error(monkeypatch):
     monkeypatch.setenv(FOLDER, "/nowhere")
     assert list(modes())[:6] == SIX
-    (text,) = broken_scenarios()
+    (text,) = left_out()
     assert text.startswith("ORACLE_SCENARIOS is /nowhere, which is no folder")
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from sim.fuzzing.compilation import compile_file
 from sim.fuzzing.scenario import MAX_BYTES, ScenarioError, load_scenarios
-from sim.modes import FOLDER, broken_scenarios, modes
+from sim.modes import FOLDER, left_out, modes
 
 GOOD = """\
 schema: mutant/v1
@@ -71,14 +71,14 @@ def test_every_file_that_is_no_scenario_is_named_once_and_the_others_are_modes(f
     assert list(modes())[:1] == ["lidar_passthrough"]
     assert "good" in modes()
     others = {file.name for file in folder.iterdir()} - {"good.yaml"}
-    broken = broken_scenarios()
+    broken = left_out()
     assert len(broken) == len(others)
     named = {name for name in others if any(f"{folder}/{name}" in text for text in broken)}
     assert others - named == {os.fsdecode(b"\xff\x1b[2J.yaml")}  # shown by codes
 
 
 def test_their_errors_can_be_written_to_any_log_and_terminal(folder):
-    for text in broken_scenarios():
+    for text in left_out():
         assert text.encode("utf-8")
         assert text.replace("\n", "").isprintable()
 
@@ -98,7 +98,7 @@ def test_a_folder_that_cannot_be_listed_is_an_error(tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     monkeypatch.setenv(FOLDER, str(tmp_path / "file"))
     assert "lidar_passthrough" in modes()
-    (text,) = broken_scenarios()
+    (text,) = left_out()
     assert "which is no folder" in text
 
 

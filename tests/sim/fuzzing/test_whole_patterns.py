@@ -11,7 +11,7 @@ import oracle_pipeline.bags.manifest as manifests
 from oracle_pipeline.bags.json_schema import faults
 from sim.fuzzing import scenario as scenarios
 from sim.fuzzing.scenario import ScenarioError, parse_scenarios
-from sim.modes import FOLDER, broken_scenarios, modes
+from sim.modes import FOLDER, left_out, modes
 
 TEXT = """\
 schema: mutant/v1
@@ -54,7 +54,7 @@ def test_an_invalid_file_is_left_out_and_the_others_are_modes(tmp_path, monkeypa
     (tmp_path / "fine.yaml").write_text(TEXT.format(**WHOLE))
     assert "fine" in modes()
     assert all(re.fullmatch("[a-z0-9_]+", name) for name in modes())
-    assert [Path(text.split(":")[0]).name for text in broken_scenarios()] == ["bad.yaml"]
+    assert [Path(text.split(":")[0]).name for text in left_out()] == ["bad.yaml"]
 
 
 def test_a_manifest_whose_mode_ends_with_a_line_feed_is_refused(tmp_path):

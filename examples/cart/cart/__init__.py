@@ -1,0 +1,1 @@
+"""A testbed as a plug-in: a cart on a rail in MuJoCo."""
