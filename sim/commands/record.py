@@ -89,7 +89,7 @@ def _experiment(
     mode: str | None, scenario: str | None, testbed: str | None, *, allow_actuation: bool
 ) -> Mode:
     if (mode is not None and scenario is not None) or not (mode or scenario or testbed):
-        raise click.UsageError("Give --mode, --scenario or --testbed.")
+        raise click.UsageError("Give either --mode or --scenario, or --testbed.")
     with short_errors():
         name = mode or scenario or require_testbed(testbed or "").experiments[0]
     try:
