@@ -179,7 +179,7 @@ class Testbed:
     libraries
         Distributions, besides those of this project, that the messages of a run depend on.
     deterministic
-        Whether the same recipe and software give the same messages. If not, a bag cannot be made
+        Whether the same recipe and software give the same messages. If not, a bag cannot be simulated
         again, so it is never dropped.
     """
 

@@ -18,7 +18,7 @@ class CartRecipe(Recipe):
     session: int
     mass_kg: float
     damping: float  # of the rail [N s/m]
-    period_s: float  # in which the target goes to and fro
+    period_s: float  # of the target, which moves left and right
     duration_s: float
 
 
