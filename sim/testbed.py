@@ -179,8 +179,8 @@ class Testbed:
     libraries
         Distributions, besides those of this project, that the messages of a run depend on.
     deterministic
-        Whether the same recipe and software give the same messages. If not, a bag cannot be simulated
-        again, so it is never dropped.
+        Whether the same recipe and software give the same messages. If not, a dropped bag could not
+        be simulated again, so none is dropped.
     """
 
     scenarios: Path = SCENARIOS
