@@ -99,10 +99,10 @@ def _dependencies(
 ) -> list[tuple[Path, Path]]:
     """Return what ``dependencies`` does, with the folder of the package that each file is in."""
     waiting, files = list(modules), dict[str, tuple[Path, Path]]()
-    roots = dict.fromkeys(within, root)
+    tops = {name.partition(".")[0] for name in waiting}
+    roots = {top: _place(top) for top in tops.difference(PACKAGES)}  # of plug-ins
     for name in waiting:
-        top = name.partition(".")[0]
-        place = roots[top] = root if top in PACKAGES else _place(top)
+        place = roots.get(name.partition(".")[0], root)
         if _file(name, place) is None:
             raise LookupError(f"There is no module {name} in {place}.")
     while waiting:
@@ -113,7 +113,7 @@ def _dependencies(
         files[name] = place, file
         package = name if file.name == _PACKAGE else name.rpartition(".")[0]
         imported = (_absolute(each, package) for each in _modules[file].imports)
-        waiting += [each for each in imported if _is_within(each, roots)]
+        waiting += [each for each in imported if _is_within(each, {*within, *roots})]
         waiting += _above(name)
     packages = [(place, file.parent) for place, file in files.values() if file.name == _PACKAGE]
     data = ((place, file) for place, at in packages for file in _files(at, is_package=True))
