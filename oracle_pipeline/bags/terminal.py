@@ -5,7 +5,9 @@ set a terminal's title, move its cursor, or hide and forge lines. Everything tha
 and that Dagster logs passes through this module.
 """
 
+import atexit
 import contextlib
+import gc
 import logging
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -68,6 +70,7 @@ class PlainTextGroup(click.Group):
 
     def main(self, *arguments: Any, **settings: Any) -> Any:
         """Run a command, with its errors, on streams that take no control characters."""
+        atexit.register(gc.freeze)  # else the end of the process searches all modules for garbage
         with (
             contextlib.redirect_stdout(cast(TextIO, _Stream(sys.stdout))),
             contextlib.redirect_stderr(cast(TextIO, _Stream(sys.stderr))),

@@ -29,7 +29,7 @@ from oracle_pipeline.live.recent import CONTEXT_S, RecentMessages
 from oracle_pipeline.live.window_scorer import WindowScorer, WindowVerdict
 from oracle_pipeline.scoring.card import ReferenceCard
 
-_END_S = 5.0  # until the process is killed
+_END_S = 10.0  # until the process is killed
 _INBOX = 10_000  # requests that may wait
 _MOST_WAITING = 2  # newer windows that make the process leave one out
 _MOST_BEHIND = 12  # windows without an answer, at which it gets no more messages
@@ -174,16 +174,16 @@ class JudgeProcess:
 
     def close(self) -> list[WindowVerdict]:
         """End the process; return the verdicts on windows that had ended before."""
-        last = []
+        last, until = [], time.monotonic() + _END_S
         try:
             self._pipe.send(None)
-            while self._pipe.poll(_END_S):
+            while self._pipe.poll(max(0.0, until - time.monotonic())):
                 answer = self._pipe.recv()
                 if isinstance(answer, WindowVerdict):
                     last.append(answer)
         except (EOFError, OSError):
             pass  # it has ended
-        self._process.join(_END_S)
+        self._process.join(max(0.0, until - time.monotonic()))
         if self._process.is_alive():
             self._process.kill()
             self._process.join()

@@ -10,6 +10,7 @@ disturbed.
 import argparse
 import contextlib
 import itertools
+import math
 import multiprocessing
 import random
 import resource
@@ -42,6 +43,7 @@ HZ = 100.0  # of the sender
 FLOOD = 50_000  # messages at once
 _COLUMNS = (
     "times", "recordings", "recorded", "missing", "counted", "packets", "unsaid", "faults", "grown",
+    "ended_s",
 )  # fmt: skip
 PACKETS = 100_000  # malformed ones
 GROWTH = 1.1  # largest allowed growth of memory
@@ -209,9 +211,11 @@ def trial(name: str, folder: Path, domain: int) -> Counter[str]:
         grown = watch.poll() is None and memory_bytes(watch.pid) > GROWTH * before
     finally:
         sender.process.kill()
+        interrupted_s = time.monotonic()
         watch.send_signal(signal.SIGINT)
         watch.communicate(timeout=600)
-    return account(folder) + Counter(grown=int(grown))
+        ended_s = math.ceil(time.monotonic() - interrupted_s)
+    return account(folder) + Counter(grown=int(grown), ended_s=ended_s)
 
 
 def _started(domain: int, folder: Path, largest: int) -> Any:
@@ -261,7 +265,10 @@ def main() -> None:
             break
         with tempfile.TemporaryDirectory() as folder:
             told = trial(name, Path(folder), options.domain)
-        totals[name] = totals.get(name, Counter()) + told + Counter(times=1)
+        before = totals.get(name, Counter())
+        longest_s = max(before["ended_s"], told["ended_s"])
+        totals[name] = before + told + Counter(times=1)
+        totals[name]["ended_s"] = longest_s
         print(_row(name, totals[name]), flush=True)
     sys.exit(any(told["unsaid"] + told["faults"] + told["grown"] for told in totals.values()))
 
