@@ -62,7 +62,7 @@ def other_domain():
 def eventually():
     """Wait until a condition holds; fail if it does not within some seconds."""
 
-    def wait(condition, seconds=60.0):
+    def wait(condition, seconds=300.0):
         until = time.monotonic() + seconds
         while not (found := condition()):
             assert time.monotonic() < until, "it did not happen in time"

@@ -32,11 +32,18 @@ from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
 from oracle_pipeline.scoring.alarms import NormalWindows
 from oracle_pipeline.scoring.conformal import ConformalError
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.scoring.run_scorer import OF_WINDOWS, WHOLE_SIGNALS, Design, RunScorer
+from oracle_pipeline.scoring.run_scorer import (
+    OF_SIGNALS,
+    OF_WINDOWS,
+    WHOLE_SIGNALS,
+    Design,
+    RunScorer,
+)
 
 FOLDS = 10
 SEED = 0  # of the folds, and of detectors that draw
 MIN_BLOCKS = 3  # two to fit on, one to hold out
+WELL_KNOWN = 200  # features beside which signals count half
 
 
 class CrossConformalScorer:
@@ -62,7 +69,8 @@ class CrossConformalScorer:
     centre_, spread_ : ndarray of shape (n_levels,)
         They bring the levels to one scale: by scaled MAD or standard deviation of the held-out
         scores, whichever is larger, so that a level with a few far normal runs hides no other. The
-        largest level of normal runs then has median 0 and scaled MAD 1.
+        largest level of normal runs then has median 0 and scaled MAD 1. The more features know the
+        robot, the less signals count: they show every difference, also that of a harmless obstacle.
     held_out_ : ndarray of shape (n_runs,)
         Score of each normal run by the scorer that was not fitted on it.
     windows_ : NormalWindows or None
@@ -111,6 +119,9 @@ class CrossConformalScorer:
         self.centre_, mad = _median_and_mad(by_level)
         self.spread_ = np.maximum(mad, by_level.std(axis=0))
         self.spread_[self.spread_ == 0.0] = 1.0
+        if self.design.uses_features:
+            known = len(self.design.run_features) / WELL_KNOWN
+            self.spread_[np.isin(self.levels_, OF_SIGNALS)] *= 1.0 + known
         centre, mad = _median_and_mad(self._combined(by_level))
         self.centre_ = self.centre_ + centre * self.spread_
         self.spread_ = self.spread_ * np.where(mad > 0.0, mad, 1.0)

@@ -52,7 +52,7 @@ def recordings(tmp_path_factory):
             check=True, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, timeout=120,
         )  # fmt: skip
         watch.send_signal(signal.SIGINT)
-        _, said = watch.communicate(timeout=60)
+        _, said = watch.communicate(timeout=300)
     assert watch.returncode == 0, said
     assert " 0 dropped" in said
     (own,) = (root / "own").glob("runs/*/run000")
