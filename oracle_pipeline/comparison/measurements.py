@@ -16,8 +16,10 @@ from oracle_pipeline.scoring.reference import Reference
 
 INTERFACE = "interface"  # family of the presence of topics, nodes and edges
 RATE = "rate"  # family of the rate of each topic
-_UNITS = {INTERFACE: "1", RATE: "Hz"}
-_FLOORS = {INTERFACE: 0.0, RATE: 0.1}
+PAYLOAD = "payload"  # family of the entropy of each topic's bytes
+PARAMETER = "parameter"  # family of the numbers that nodes have as parameters
+_UNITS = {INTERFACE: "1", RATE: "Hz", PAYLOAD: "bit"}
+_FLOORS = {INTERFACE: 0.0, RATE: 0.1, PAYLOAD: 0.02}
 
 
 def family_of(column: str) -> str:
@@ -78,7 +80,7 @@ def _with(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
 
 
 def _interface(observations: Sequence[Observation]) -> pd.DataFrame:
-    rows = [{**dict.fromkeys(_elements(seen), 1.0), **_rates(seen)} for seen in observations]
+    rows = [{**dict.fromkeys(_elements(seen), 1.0), **_numbers(seen)} for seen in observations]
     table = pd.DataFrame(rows, dtype=np.float64)
     return _with(table, list(table.columns))
 
@@ -89,8 +91,17 @@ def _elements(seen: Observation) -> list[str]:
         f"topic {name}, QoS {words}" for name, (_, all_qos, _) in seen.topics.items()
         for words in all_qos
     ]  # fmt: skip
-    return [f"{INTERFACE}.{element}" for element in (*topics, *qos, *sorted(seen.graph or ()))]
+    texts = [
+        f"parameter {name} = {value}"
+        for name, value in seen.parameters.items() if isinstance(value, str)
+    ]  # fmt: skip
+    elements = (*topics, *qos, *texts, *sorted(seen.graph or ()))
+    return [f"{INTERFACE}.{element}" for element in elements]
 
 
-def _rates(seen: Observation) -> dict[str, float]:
-    return {f"{RATE}.{name}": hz for name, (_, _, hz) in seen.topics.items() if hz is not None}
+def _numbers(seen: Observation) -> dict[str, float]:
+    """Return the rates and payloads of topics, and the parameters that are numbers."""
+    rates = {name: hz for name, (_, _, hz) in seen.topics.items() if hz is not None}
+    numbers = {name: each for name, each in seen.parameters.items() if not isinstance(each, str)}
+    families = {RATE: rates, PAYLOAD: seen.entropies, PARAMETER: numbers}
+    return {f"{family}.{n}": value for family, of in families.items() for n, value in of.items()}

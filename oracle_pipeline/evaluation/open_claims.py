@@ -1,5 +1,6 @@
 """The claims that a campaign cannot support yet, the reasons, and which runs to record."""
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from math import ceil
@@ -123,7 +124,15 @@ def _need(check: str, df: pd.DataFrame) -> tuple[tuple[str, ...], int]:
 
 
 def _unused(df: pd.DataFrame) -> list[OpenClaim]:
-    empty = [name for name in feature_columns(df) if not np.isfinite(df[name]).any()]
+    """Name features without a value, but no family that has none: these robots lack its topics."""
+    columns = feature_columns(df)
+    has_value = np.isfinite(df[columns].to_numpy(dtype=np.float64)).any(axis=0)
+    families = {name.partition(".")[0] for name in itertools.compress(columns, has_value)}
+    empty = [
+        name
+        for name in itertools.compress(columns, ~has_value)
+        if name.partition(".")[0] in families
+    ]
     if not empty:
         return []
     more = f" and {len(empty) - _NAMED} more" if len(empty) > _NAMED else ""

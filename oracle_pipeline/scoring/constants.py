@@ -5,6 +5,7 @@ zone, or the mount of a sensor in the static transforms. Few features would noti
 a field, and it needs no statistics to report one.
 """
 
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,11 +17,13 @@ from rosbags.typesys.store import Typestore
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.merging import Messages, Rows
 from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.bags.types import typestore
 from oracle_pipeline.features.engine.columns import Columns, SerializedMessages
 from oracle_pipeline.features.engine.common_fields import frame_names
 from oracle_pipeline.robots.first_messages import TRANSFORM_TYPES
 from oracle_pipeline.robots.roles import is_static
 from oracle_pipeline.scoring.pace import FEWEST
+from oracle_pipeline.scoring.parameters import EVENTS, Parameters, parameters_of
 
 MOST_MESSAGES = 50  # sampled per topic, spread over the recording
 MOST_BYTES = 4_000_000  # sampled per topic
@@ -32,8 +35,8 @@ _TIME = "builtin_interfaces/msg/Time"
 class Samples:
     """Messages of each topic of a bag, spread evenly, taken while the bag is read.
 
-    Topics with fewer than `FEWEST` messages are left out, except for static transforms. Of these,
-    all messages are taken.
+    Topics with fewer than `FEWEST` messages are left out, except for static transforms and events
+    of parameters. Of these, all messages are taken.
 
     Attributes
     ----------
@@ -48,15 +51,15 @@ class Samples:
             for name, topic in bag.topics.items()
             if topic.msgtype in TRANSFORM_TYPES and is_static(topic)
         }
+        self._events = [name for name, topic in bag.topics.items() if topic.msgtype == EVENTS]
+        whole = {*self._static, *self._events}
         self.taken: dict[str, list[bytes]] = {
-            name: []
-            for name, topic in bag.topics.items()
-            if topic.count >= FEWEST or name in self._static
+            name: [] for name, topic in bag.topics.items() if topic.count >= FEWEST or name in whole
         }
         counts = np.array([topic.count for topic in bag.topics.values()], dtype=np.int64)
         self._names = list(bag.topics)
         every = -(-counts // MOST_MESSAGES)
-        self._every = np.where([name in self._static for name in self._names], 1, every)
+        self._every = np.where([name in whole for name in self._names], 1, every)
         self._passed = np.zeros(len(counts), dtype=np.int64)
         self._left = np.full(len(counts), MOST_BYTES, dtype=np.int64)
 
@@ -94,6 +97,21 @@ class Samples:
             elif len(data) >= 2:
                 found[topic] = dict(_equal(batch.columns(), store, kind.msgtype))
         return found
+
+    def entropies(self) -> dict[str, float]:
+        """Return the entropy of the bytes of each topic's messages [bit].
+
+        It changes with what a topic carries, whatever its type: a grid whose cells have other
+        values, an array of another resolution, a text that is longer.
+        """
+        sampled = {topic: b"".join(data) for topic, data in self.taken.items() if any(data)}
+        return {topic: _entropy(data) for topic, data in sampled.items()}
+
+    def parameters(self) -> Parameters:
+        """Return the last value of each parameter that was reported, by node and name."""
+        reported = [data for topic in self._events for data in self.taken[topic]]
+        whole = SerializedMessages(reported, typestore(), EVENTS, is_cdr=True).whole
+        return parameters_of(itertools.compress(reported, whole))
 
 
 def _transforms(messages: Columns) -> Iterator[tuple[str, str]]:
@@ -151,6 +169,12 @@ def _constant(path: str, values: NDArray[Any]) -> Iterator[tuple[str, str]]:
     first, is_nan = values[0], values != values
     if ((values == first) | (is_nan & is_nan[0])).all():
         yield path, _text(first)
+
+
+def _entropy(data: bytes) -> float:
+    counts = np.bincount(np.frombuffer(data, np.uint8))
+    shares = counts[counts > 0] / len(data)
+    return float(-shares @ np.log2(shares))
 
 
 def _text(value: Any) -> str:

@@ -24,6 +24,7 @@ from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.robots.known import Known
 from oracle_pipeline.scoring.constants import Samples
 from oracle_pipeline.scoring.pace import FEWEST, SPAN_S, Pace, Stamped, merged_paces, paces
+from oracle_pipeline.scoring.parameters import Parameters
 from oracle_pipeline.scoring.relays import Fingerprints, Relays
 
 STEADY = 1.5  # largest ratio between the rates of normal recordings at which a rate is steady
@@ -100,6 +101,10 @@ class Observation:
         Whether no message was lost; if not, rates and copies prove nothing.
     roles, instead : mapping of str to tuple of str
         Role -> its topics; and, where the reference knows others, the topics that may play it.
+    parameters : mapping of str to float or str
+        Of the nodes, as far as events report them; only `oracle compare` uses them.
+    entropies : mapping of str to float
+        Of the bytes of each topic [bit], for `oracle compare`; empty unless requested.
     duration_s : float
         How long it is [s]; a rate proves nothing in a recording of a few messages.
     """
@@ -113,6 +118,8 @@ class Observation:
     losses: tuple[str, ...] = ()
     roles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     instead: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    parameters: Parameters = field(default_factory=dict)
+    entropies: Mapping[str, float] = field(default_factory=dict)
     duration_s: float = math.inf
 
 
@@ -124,7 +131,7 @@ class Observer:
     bag : BagReader
         The bag that is read.
     paced : bool
-        Whether to measure paces too, which are needed to learn a contract only.
+        Whether to measure paces and entropies too, which are needed of references only.
 
     Attributes
     ----------
@@ -168,6 +175,8 @@ class Observer:
             self.fingerprints.relays(),
             not run.disturbances.loss(),
             tuple(run.bag.losses),
+            parameters=self.samples.parameters(),
+            entropies=self.samples.entropies() if self._paced else {},
             duration_s=max(duration_s, 1e-9),
         )
 

@@ -50,7 +50,8 @@ CHANGES = (
         "navigation.p*", "navigation.command_*", "rate./*", "kinematics.travel*",
     )),
     Change("inflation radius", "inflation_radius=0.605", (
-        "costmap.*", "contextual.clearance", "navigation.plan*", "navigation.lethal_*",
+        "payload./*costmap*", "costmap.*", "contextual.clearance", "navigation.plan*",
+        "navigation.lethal_*",
         "contextual.speed", "contextual.total_turning", "contextual.turning_per_metre",
     )),
     Change("controller gain", "FollowPath.PathDist.scale=35.2", (

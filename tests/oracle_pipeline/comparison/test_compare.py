@@ -123,6 +123,29 @@ def test_a_topic_that_one_set_lacks_is_a_difference(seen: Any, element: str) -> 
     assert any(element in feature for feature in features)
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "feature"),
+    [
+        ({"parameters": {"/dwb speed": 0.26}}, {"parameters": {"/dwb speed": 0.23}},
+         "parameter./dwb speed"),
+        ({"parameters": {"/dwb frame": "map"}}, {"parameters": {"/dwb frame": "odom"}},
+         "interface.parameter /dwb frame = map"),
+        ({"entropies": {"/costmap": 3.6}}, {"entropies": {"/costmap": 3.9}}, "payload./costmap"),
+    ],
+)  # fmt: skip
+def test_what_nodes_are_told_and_what_topics_carry_is_compared(
+    before: Any, after: Any, feature: str
+) -> None:
+    sets = [
+        Reference(
+            reference(np.arange(5.0), first_block=-9).table,
+            observations=(Observation({}, None, **told),) * 5,
+        )
+        for told in (before, after)
+    ]
+    assert feature in [each.feature for each in compare(*sets).differences]
+
+
 @pytest.mark.parametrize("paired", [False, True])
 def test_the_stated_number_of_recordings_is_the_smallest_sufficient_one(*, paired: bool) -> None:
     def lowest_p(n: int) -> float:

@@ -112,3 +112,36 @@ def test_the_mount_of_a_sensor_is_constant_though_it_is_published_once(constants
 def test_a_transform_that_is_published_with_two_values_is_not_constant(constants_of):
     mounts = [(float(i), "/tf_static", transforms(("base", "nose", i, False))) for i in range(2)]
     assert constants_of(mounts)["/tf_static"].keys() == {"base -> nose rotation"}
+
+
+EMPTY = {
+    "bool_value": False, "integer_value": 0, "double_value": 0.0, "string_value": "",
+    "byte_array_value": np.zeros(0, np.uint8), "bool_array_value": np.zeros(0, np.bool_),
+    "integer_array_value": np.zeros(0, np.int64), "double_array_value": np.zeros(0),
+    "string_array_value": [],
+}  # fmt: skip
+
+
+def parameter_events(*values):
+    event, parameter, value = (
+        message_class(f"rcl_interfaces/msg/{name}")
+        for name in ("ParameterEvent", "Parameter", "ParameterValue")
+    )
+    for number, (name, field, given) in enumerate(values):
+        kind = 1 + list(EMPTY).index(field)
+        reported = parameter(name, value(kind, **{**EMPTY, field: given}))
+        stamp = header(number, "").stamp
+        yield float(number), "/parameter_events", event(stamp, "/planner", [], [reported], [])
+
+
+def test_the_last_value_of_each_parameter_is_known(observer_of):
+    told = parameter_events(
+        ("tolerance", "double_value", 0.5), ("tolerance", "double_value", 0.25),
+        ("enabled", "bool_value", True), ("frame", "string_value", "map" * 40),
+        ("corners", "double_array_value", np.array([1.0, 2.0])),
+    )  # fmt: skip
+    found = observer_of(list(told)).samples.parameters()
+    assert found.pop("/planner frame").startswith("map" * 20 + "... (")
+    assert found == {
+        "/planner tolerance": 0.25, "/planner enabled": 1.0, "/planner corners": "1.0, 2.0",
+    }  # fmt: skip

@@ -222,8 +222,10 @@ def test_a_recording_shows_the_pace_of_its_topics(recorded_run):
         for batch in run.bag.batches(unpaced.samples.taken):
             unpaced.see(batch)
         observation = paced.observation(run, run.duration_s)
-        assert replace(observation, paces={}) == unpaced.observation(run, run.duration_s)
-        seen = observation.paces
+        unrequested = replace(observation, paces={}, entropies={})
+        assert unrequested == unpaced.observation(run, run.duration_s)
+        seen, entropies = observation.paces, observation.entropies
     assert seen["/scan"].longest_gap_s == pytest.approx(0.2, abs=0.1)
     assert 49 <= seen["/scan"].fewest <= seen["/scan"].most <= 51
     assert "/map" not in seen
+    assert 0.0 < entropies["/local_costmap/costmap"] < entropies["/imu"] < 8.0
