@@ -126,8 +126,8 @@ def rows() -> Iterator[Row]:
     """Yield how many copies have exit code 1, by kind, and the share of all copies."""
     with tempfile.TemporaryDirectory() as folder:
         root = Path(os.environ.get("ORACLE_BENCH_RUNS", folder))
-        card = learn([_record(root / "card", CARD_SEED, n).path for n in range(NORMAL)])
-        judged = [_record(root / "judged", SEED, number) for number in range(JUDGED)]
+        card = learn([record(root / "card", CARD_SEED, n).path for n in range(NORMAL)])
+        judged = [record(root / "judged", SEED, number) for number in range(JUDGED)]
         exits = []
         for number, (name, (topics, change)) in enumerate(KINDS.items()):
             copies = [
@@ -138,10 +138,13 @@ def rows() -> Iterator[Row]:
         yield Row("all kinds", sum(exits) / len(exits), "", GOAL)
 
 
-def _record(root: Path, seed: int, number: int) -> RunDirectory:
-    directory = RunDirectory(root, MODE, number)
+def record(
+    root: Path, seed: int, number: int, goals: int = GOALS, mode: str = MODE
+) -> RunDirectory:
+    """Record a run, if it is not there yet."""
+    directory = RunDirectory(root, mode, number)
     if not directory.path.exists():
-        record_run(recipe_for(MODE, number, Campaign(seed=seed, goals_per_run=GOALS)), directory)
+        record_run(recipe_for(mode, number, Campaign(seed=seed, goals_per_run=goals)), directory)
     return directory
 
 
