@@ -16,6 +16,7 @@ GROUP = "oracle_sim.testbeds"
 BUILT_IN = {
     "turtlebot3": "sim.turtlebot3.testbed:TURTLEBOT3",
     "atc": "sim.atc.testbed:AIR_TRAFFIC_CONTROL",
+    "crazyflie": "sim.crazyflie.testbed:CRAZYFLIE",
 }
 
 

@@ -25,6 +25,7 @@ from sim.fuzzing.program import (
 from sim.fuzzing.scenario import (
     NO_FILE,
     SET_PARAMETERS,
+    WORLD,
     Key,
     Scenario,
     ScenarioError,
@@ -183,7 +184,7 @@ def _node_parameters(
     for number, spec in enumerate(scenario.document.get(SET_PARAMETERS, ())):
         key: Key = (SET_PARAMETERS, number)
         with context.faults.gathered():
-            if not allow_actuation:
+            if not allow_actuation and spec["node"] != WORLD:
                 raise scenario.error(
                     key,
                     "expected no parameter that is set: parameters decide how the robot moves; "

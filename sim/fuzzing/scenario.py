@@ -28,6 +28,7 @@ Key = tuple[str | int, ...]  # path of a value in a document: ("transform", "act
 Control = Literal["none", "passthrough", "shadow"]
 
 SET_PARAMETERS = "set_parameters"  # of nodes
+WORLD = "/world"  # as a node: conditions of a simulated testbed, which no real system can set
 
 MAX_BYTES = 2**18  # of a file
 MAX_DEPTH = 24  # of a document
@@ -154,7 +155,8 @@ class Scenario:
     def may_move(self) -> bool:
         """Whether it may move the robot or change its way, so that it needs permission."""
         spoken = (moves_something(*each) for each in self.spoken)
-        return SET_PARAMETERS in self.document or any(spoken)
+        settings = self.document.get(SET_PARAMETERS, ())
+        return any(each["node"] != WORLD for each in settings) or any(spoken)
 
     @property
     def spoken(self) -> list[tuple[str, str]]:

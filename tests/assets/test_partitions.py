@@ -38,7 +38,7 @@ def test_an_invalid_count_is_an_error_with_its_value(value: str) -> None:
         ("", "lidar_passthrough", len(modes())),
         ("turtlebot3", "lidar_passthrough", 14),
         ("atc", "atc_normal", 17),
-        ("*_shadow", "fake_object_shadow", 11),
+        ("delayed_*_shadow", "delayed_fakeobject_shadow", 1),
         ("benign_*, fake_object", "fake_object", 6),
     ],
 )

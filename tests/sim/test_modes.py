@@ -13,7 +13,7 @@ from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.scenario import ScenarioError
 from sim.modes import FOLDER, find_mode, left_out, modes
 from sim.scenarios import builtin_scenarios
-from sim.testbeds import which_testbed
+from sim.testbeds import TESTBEDS, which_testbed
 from tests.sim.fuzzing.workbench import INCREMENT, only, scan
 
 SIX = [
@@ -38,11 +38,11 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_the_six_come_first_then_the_others_of_their_testbed_then_air_traffic():
+def test_the_six_come_first_then_the_others_of_their_testbed_then_other_testbeds():
     names = list(modes())
     assert names[:6] == SIX
     benches = [which_testbed(mode.scenario) for mode in modes().values()]
-    assert benches == sorted(benches, reverse=True)
+    assert benches == sorted(benches, key=list(TESTBEDS).index)
     assert names[benches.index("atc")] == "atc_normal"
 
 

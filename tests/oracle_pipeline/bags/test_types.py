@@ -31,6 +31,8 @@ OURS = (
     "map_msgs/",
     "gazebo_msgs/",
     "oracle_msgs/",
+    "crazyflie_interfaces/",
+    "motion_capture_tracking_interfaces/",
 )
 ALL_TYPES = sorted(typestore().fielddefs)
 

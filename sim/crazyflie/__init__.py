@@ -1,0 +1,1 @@
+"""The third testbed: a Crazyflie in MuJoCo with its firmware, motion capture and Crazyswarm2."""
