@@ -5,9 +5,9 @@
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, get_args, get_origin
 
 import numpy as np
 
@@ -145,11 +145,19 @@ class Recipe:
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:
-        """Return the recipe from the result of ``to_dict``.
+        """Return the recipe from the result of ``to_dict``; tuples and dataclasses come back."""
+        recipe: Self = _from_json(cls, document)
+        return recipe
 
-        A recipe with fields that are no JSON values, such as tuples, has to convert them.
-        """
-        return cls(**document)
+
+def _from_json(kind: Any, value: Any) -> Any:
+    """Return a value from JSON as one of a type."""
+    if isinstance(kind, type) and is_dataclass(kind):
+        types = {item.name: item.type for item in fields(kind)}
+        return kind(**{name: _from_json(types[name], part) for name, part in value.items()})
+    if get_origin(kind) is tuple:
+        return tuple(_from_json(get_args(kind)[0], part) for part in value)
+    return value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

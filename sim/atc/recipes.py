@@ -1,10 +1,8 @@
 """The recipe of an air traffic run: everything that determines it."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
 
-from sim.atc.airspace import Flight, Waypoint
+from sim.atc.airspace import Flight
 from sim.campaigns import Campaign
 from sim.testbed import Recipe
 
@@ -31,22 +29,6 @@ class AtcRecipe(Recipe):
     session: AtcSession
     flights: tuple[Flight, ...]
     duration_s: float
-
-    @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> Self:
-        """Return the recipe from the result of ``to_dict``."""
-        session = document["session"]
-        flights = (
-            Flight(**{**flight, "route": tuple(Waypoint(**point) for point in flight["route"])})
-            for flight in document["flights"]
-        )
-        return cls(
-            **{
-                **document,
-                "session": AtcSession(**{**session, "wind": tuple(session["wind"])}),
-                "flights": tuple(flights),
-            }
-        )
 
     def campaign(self) -> Campaign:
         """Return the run's campaign, as far as the draws of its block depend on it."""

@@ -35,10 +35,22 @@ BUILT_IN: Mapping[str, str] = {
     "atc_altitude_decrease": "rate_m_s=0.1:20:8:log",
     "atc_gps_alteration": "drift_m_s=0.5:100:8:log",
     "atc_follow_closest": "gap_m=50:10000:8:log",
+    "cf_propeller_cut": "cut=0.25:6:8:log",
+    "cf_blade_cut": "cut=0.1:3:8:log",
+    "cf_payload": "mass=0.25:8:8:log",
+    "cf_string": "mass=0.25:8:8:log",
+    "cf_tape": "mass=1:60:8:log",
+    "cf_gyro_bias": "bias=0.002:0.5:8:log",
+    "cf_pose_offset": "offset=0.005:0.5:8:log",
+    "cf_pose_drift": "rate=0.001:0.1:8:log",
+    "cf_pose_delay": "seconds=0.01:0.3:8:log",
+    "cf_pose_freeze": "seconds=0.05:2:8:log",
+    "cf_battery_spoof": "volts=0.05:1:8:log",
+    "cf_setpoint_offset": "offset=0.005:0.5:8:log",
 }
 # These have no magnitude: they happen or not.
 WITHOUT = ("sensor_freeze", "sensor_replay", "atc_delete_by_id", "atc_ghost_static",
-           "tf_best_effort")  # fmt: skip
+           "tf_best_effort", "cf_pose_replay")  # fmt: skip
 
 _VALUES = 8
 

@@ -47,11 +47,6 @@ VOLTS, PHASE, UNSTEADY = range(3)
 THRUST, TORQUE, IMBALANCE = range(3)
 
 
-def open_voltage(charge: float) -> float:
-    """Return the voltage of a battery without a load, by the share of its charge."""
-    return float(np.interp(charge, _CHARGE, _OPEN_V))
-
-
 @jit
 def wrench(
     quaternion: Floats, velocity: Floats, duty: Floats, state: Floats, rotors: Floats,

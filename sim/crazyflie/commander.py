@@ -6,37 +6,27 @@ the Crazyflie has tumbled.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
-
 from oracle_pipeline.bags.types import message_class
-from sim.crazyflie.recipes import Leg
+from sim.crazyflie.recipes import Leg, Place
 from sim.crazyflie.server import IS_TUMBLED
-from sim.crazyflie.tracking import FRAME, NAME
+from sim.crazyflie.tracking import FRAME, NAME, pose_message
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.node import Node
 from sim.middleware.stamps import header
 
-COMMANDER = "/flight_commander"
 SETPOINT_NS = 20 * MILLISECOND
 CLIMB_M_S = 0.4
-NEAR_M = 0.15  # of the end of a leg
-LATE_S = 5.0  # after which a leg has failed
-CRITICAL_V = 3.0  # at which it lands, if so many reports in a row have it
-CRITICAL_REPORTS = 3
+NEAR_M, LATE_S = 0.15, 5.0  # of the end of a leg; a leg that is later has failed
+CRITICAL_V, CRITICAL_REPORTS = 3.0, 3  # it lands if so many reports in a row are below
 
 _FullState = message_class("crazyflie_interfaces/msg/FullState")
-_Point = message_class("geometry_msgs/msg/Point")
-_Pose = message_class("geometry_msgs/msg/Pose")
-_Quaternion = message_class("geometry_msgs/msg/Quaternion")
 _Twist = message_class("geometry_msgs/msg/Twist")
 _Vector3 = message_class("geometry_msgs/msg/Vector3")
-
-_Place = tuple[float, float, float, float]  # x, y, z [m], yaw [rad]
 
 
 @dataclass(slots=True)
@@ -48,13 +38,7 @@ class LegProgress:
     outcome: Literal["succeeded", "aborted"] | None = None
 
 
-def smooth(share: float) -> float:
-    """Return how much of a way is done after a share of the time, from rest to rest."""
-    s = min(max(share, 0.0), 1.0)
-    return s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
-
-
-def place(leg: Leg, before: _Place, time_s: float) -> _Place:
+def place(leg: Leg, before: Place, time_s: float) -> Place:
     """Return the setpoint of a leg at a time since it began.
 
     Parameters
@@ -66,13 +50,13 @@ def place(leg: Leg, before: _Place, time_s: float) -> _Place:
     time_s
         Time since it began [s].
     """
-    done = smooth(time_s / leg.seconds)
+    s = min(time_s / leg.seconds, 1.0)
+    done = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)  # from rest to rest, with the least jerk
     if leg.kind == "eight":
         angle = 2.0 * math.pi * done
-        return (leg.x + leg.size * math.sin(angle), leg.y + leg.size / 2.0 * math.sin(2.0 * angle),
-                leg.z, leg.yaw)  # fmt: skip
-    to = (leg.x, leg.y, leg.z, leg.yaw)
-    x, y, z, yaw = (a + done * (b - a) for a, b in zip(before, to, strict=True))
+        ahead, aside = leg.size * math.sin(angle), leg.size / 2.0 * math.sin(2.0 * angle)
+        return leg.x + ahead, leg.y + aside, leg.z, leg.yaw
+    x, y, z, yaw = (a + done * (b - a) for a, b in zip(before, leg.end, strict=True))
     return x, y, z, yaw
 
 
@@ -88,25 +72,26 @@ class FlightCommander(Node):
     ----------
     results : list of LegProgress
         Of the legs that were begun.
+    is_over : bool
+        Whether it has landed.
     """
 
     def __init__(self, domain: Domain, latency_ns: int) -> None:
-        super().__init__(domain, COMMANDER, latency_ns=latency_ns)
+        super().__init__(domain, "/flight_commander", endpoints="PE", latency_ns=latency_ns)
         self._full_state = self.create_publisher(
             "crazyflie_interfaces/msg/FullState", f"/{NAME}/cmd_full_state"
         )
         self.create_subscription("geometry_msgs/msg/PoseStamped", f"/{NAME}/pose", self._on_pose)
-        self.create_subscription("crazyflie_interfaces/msg/Status", f"/{NAME}/status",
-                                 self._on_status)  # fmt: skip
+        status = "crazyflie_interfaces/msg/Status"
+        self.create_subscription(status, f"/{NAME}/status", self._on_status)
         self.results: list[LegProgress] = []
+        self.is_over = False
         self._here = (0.0, 0.0, 0.0)  # the last pose that arrived
         self._critical = 0  # reports in a row
         self._trouble = ""  # why it has to land
-        self._legs: Iterator[Leg] = iter(())
+        self._before = self._wanted = (0.0, 0.0, 0.0, 0.0)
 
-    def fly(
-        self, legs: Sequence[Leg], on_leg: Callable[[int], None], on_end: Callable[[], None]
-    ) -> None:
+    def fly(self, legs: Sequence[Leg], on_leg: Callable[[int], None]) -> None:
         """Take off, fly the legs, and land.
 
         Parameters
@@ -115,13 +100,10 @@ class FlightCommander(Node):
             At least one.
         on_leg
             Called with the number of each leg, from 1, when it begins.
-        on_end
-            Called after the landing.
         """
-        self._legs, self._on_leg, self._on_end = iter(legs), on_leg, on_end
-        start = legs[0]
-        self._before: _Place = (*self._here[:2], 0.0, 0.0)
-        self._begin(Leg("waypoint", start.x, start.y, start.z, start.yaw, start.z / CLIMB_M_S))
+        self._legs, self._on_leg = iter(legs), on_leg
+        x, y, z, yaw = legs[0].end
+        self._begin(Leg("takeoff", x, y, z, yaw, z / CLIMB_M_S))
         self._timer = self.create_timer(SETPOINT_NS, self._update)
         self.info("Taking off")
 
@@ -130,57 +112,46 @@ class FlightCommander(Node):
 
     def _update(self) -> None:
         """Send the next setpoint; begin the next leg at the end of one."""
-        time_s = (self.now_ns - self._begun_ns) / SECOND
-        wanted = place(self._leg, self._before, time_s)
-        self._send(wanted)
-        if self._trouble:
+        leg, time_s = self._leg, (self.now_ns - self._begun_ns) / SECOND
+        wanted = self._wanted = place(leg, self._before, time_s)
+        self._send(wanted, place(leg, self._before, time_s + SETPOINT_NS / SECOND))
+        is_over, lands = time_s >= leg.seconds, leg.kind == "landing"
+        if lands and is_over:
+            self._timer.cancel()
+            self.info("Landed")
+            self.is_over = True
+        elif self._trouble and not lands:
             self._end("aborted")
-        elif time_s >= self._leg.seconds:
-            if math.dist(self._here, wanted[:3]) <= NEAR_M:
-                self._end("succeeded")
-            elif time_s >= self._leg.seconds + LATE_S:
-                self._trouble = f"{NAME} is not where it should be"
+        elif is_over and math.dist(self._here, wanted[:3]) <= NEAR_M:
+            self._end("succeeded")
+        elif time_s >= leg.seconds + LATE_S:
+            self._trouble = f"{NAME} is not where it should be"
 
     def _end(self, outcome: Literal["succeeded", "aborted"]) -> None:
-        self._before = place(self._leg, self._before, (self.now_ns - self._begun_ns) / SECOND)
+        """End this leg, and begin the next or the landing."""
+        self._before = x, y, z, yaw = self._wanted
         if self.results:
             self.results[-1].ended_ns, self.results[-1].outcome = self.now_ns, outcome
             self.info(f"Leg {len(self.results)} {outcome}")
         leg = None if self._trouble else next(self._legs, None)
         if leg is None:
-            self._land()
+            self.info(f"Landing. {self._trouble}")
+            self._begin(Leg("landing", x, y, 0.0, yaw, z / CLIMB_M_S + 1.0))
             return
         self._begin(leg)
         self.results.append(LegProgress(self.now_ns))
         self._on_leg(len(self.results))
 
-    def _land(self) -> None:
-        if self._trouble:
-            self.error(f"Landing: {self._trouble}")
-        self._timer.cancel()
-        x, y, z, yaw = self._before
-        self._begin(Leg("waypoint", x, y, 0.0, yaw, z / CLIMB_M_S + 1.0))
-        self._timer = self.create_timer(SETPOINT_NS, self._descend)
-
-    def _descend(self) -> None:
-        time_s = (self.now_ns - self._begun_ns) / SECOND
-        self._send(place(self._leg, self._before, time_s))
-        if time_s >= self._leg.seconds:
-            self._timer.cancel()
-            self.info("Landed")
-            self._on_end()
-
-    def _send(self, wanted: _Place) -> None:
+    def _send(self, wanted: Place, ahead: Place) -> None:
+        """Send a setpoint, whose speed is that to the next one."""
         x, y, z, yaw = wanted
-        stamped = header(self.now_ns, FRAME)
-        turn = _Quaternion(0.0, 0.0, math.sin(yaw / 2.0), math.cos(yaw / 2.0))
-        later_s = (self.now_ns - self._begun_ns + SETPOINT_NS) / SECOND
-        ahead = np.subtract(place(self._leg, self._before, later_s), wanted) * SECOND / SETPOINT_NS
         still = _Vector3(0.0, 0.0, 0.0)
-        speed = _Vector3(*ahead[:3].tolist())
-        self._full_state.publish(
-            _FullState(stamped, _Pose(_Point(x, y, z), turn), _Twist(speed, still), still)
+        speed = _Vector3(
+            *((b - a) * SECOND / SETPOINT_NS for a, b in zip(wanted[:3], ahead[:3], strict=True))
         )
+        pose = pose_message((x, y, z), (math.cos(yaw / 2.0), 0.0, 0.0, math.sin(yaw / 2.0)))
+        twist = _Twist(speed, still)
+        self._full_state.publish(_FullState(header(self.now_ns, FRAME), pose, twist, still))
 
     def _on_pose(self, message: Any) -> None:
         at = message.pose.position

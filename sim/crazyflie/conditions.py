@@ -103,16 +103,11 @@ def declare(domain: Domain, changed: Callable[[str, float], None]) -> None:
     """
     unseen = domain.add_publisher(WORLD, EVENT, "/_world/parameter_events", qos.PARAMETER_EVENTS)
     for name, values in CONDITIONS.items():
-        domain.add_parameter(
-            NodeParameter(WORLD, name, values.usual, _checked(name, values),
-                          functools.partial(changed, name), unseen)
-        )  # fmt: skip
+        check, change = functools.partial(_checked, name, values), functools.partial(changed, name)
+        domain.add_parameter(NodeParameter(WORLD, name, values.usual, check, change, unseen))
 
 
-def _checked(name: str, values: Range) -> Callable[[float], float]:
-    def check(value: float) -> float:
-        if not values.low <= value <= values.high:
-            raise ConditionError(f"{name} is from {values.low:g} to {values.high:g}, not {value:g}")
-        return float(value)
-
-    return check
+def _checked(name: str, values: Range, value: float) -> float:
+    if not values.low <= value <= values.high:
+        raise ConditionError(f"{name} is from {values.low:g} to {values.high:g}, not {value:g}")
+    return float(value)

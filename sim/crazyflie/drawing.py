@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from sim.campaigns import Campaign
-from sim.crazyflie.recipes import CrazyflieRecipe, CrazyflieSession, Leg
-from sim.crazyflie.world import Craft
+from sim.crazyflie.recipes import Craft, CrazyflieRecipe, CrazyflieSession, Leg
 from sim.seeds import BLOCK, SESSION, generator
 from sim.testbed import Mode
 
@@ -23,12 +22,10 @@ CRUISE_M_S = 0.5  # mean speed between points
 MIN_LEG_M = 0.5
 
 
-def draw(
-    mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any]
-) -> CrazyflieRecipe:
+def draw(mode: Mode, run: int, campaign: Campaign, given: Mapping[str, Any]) -> CrazyflieRecipe:
     """Return the recipe of one run of a campaign; the arguments are those of `Testbed.draw`."""
     return CrazyflieRecipe(
-        **mode.recipe_fields(run, campaign, {}, parameters),
+        **mode.recipe_fields(run, campaign, {}, given),
         session=_draw_session(campaign.seed, campaign.session_of(run)),
         legs=tuple(_draw_legs(generator(campaign.seed, BLOCK, run), campaign.goals_per_run)),
         timeout_s=campaign.timeout_s,
@@ -75,7 +72,6 @@ def _draw_session(seed: int, index: int) -> CrazyflieSession:
         craft=craft,
         gains=rng.uniform(0.95, 1.05),
         latency_ms=rng.uniform(2.0, 6.0),
-        jitter_ms=rng.uniform(0.0, 1.0),
         tracking_m=rng.uniform(2e-4, 8e-4),
         tracking_rad=rng.uniform(2e-3, 8e-3),
         lost=rng.uniform(0.0, 0.01),

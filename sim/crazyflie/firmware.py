@@ -21,7 +21,6 @@ _MOST = 32767.0  # of a command to the mixer
 _FULL = 65535.0  # of thrust
 _BASE, _LEAST = 36000.0, 20000.0  # of thrust: in a hover, and in flight
 _LANDED_M = 0.03  # a setpoint below stops the motors
-_TUMBLED = 0.0  # upward part of the frame's z axis at which they stop for good
 _GYRO_HZ, _ACCELERATION_HZ = 80.0, 30.0  # cutoffs of the filters
 # Gains of the estimator, at each pose of motion capture: of position, velocity [1/s], attitude.
 _PULL, _PULL_SPEED, _PULL_TURN = 0.2, 2.2, 0.03
@@ -39,6 +38,8 @@ GAINS = np.array(
         [120.0, 16.7, 0.0, 166.7, _MOST],
     ]
 )
+# What motors 1 to 4 get of the commands of roll, pitch and yaw.
+_MIXER = np.array([[-0.5, 0.5, 1.0], [-0.5, -0.5, -1.0], [0.5, -0.5, 1.0], [0.5, 0.5, -1.0]])
 _X, _Y, _Z, _VX, _VY, _VZ, _ROLL, _PITCH, _YAW, _P, _Q, _R = range(12)
 
 LOG = (
@@ -48,7 +49,7 @@ LOG = (
 """Variables of the log group ``controller``, in the order of `Firmware.log`."""
 
 
-class _State(NamedTuple):
+class State(NamedTuple):
     """Everything that the firmware remembers: views of one array, which is cheaper to pass."""
 
     position: Floats
@@ -65,9 +66,9 @@ _SIZE = 56 + len(LOG)
 
 
 @jit
-def _view(memory: Floats) -> _State:
+def _view(memory: Floats) -> State:
     """Return the parts of an array of shape (_SIZE,)."""
-    return _State(
+    return State(
         memory[:3], memory[3:6], memory[6:10], memory[10:16], memory[16:28].reshape((6, 2)),
         memory[28:52].reshape((12, 2)), memory[52:56], memory[56:],
     )  # fmt: skip
@@ -88,52 +89,30 @@ class Firmware:
 
     Parameters
     ----------
-    position, quaternion
-        Of the frame when it is switched on.
+    position
+        Of the frame when it is switched on, level and facing forward [m].
     gains
         All gains of the PIDs relative to `GAINS`.
+
+    Attributes
+    ----------
+    state : State
+        What it estimates and logs.
+    duty : ndarray of shape (4,)
+        Commands of the motors, from 0 to 1.
+    is_tumbled : bool
+        Whether it has stopped the motors for good.
     """
 
-    def __init__(self, position: Floats, quaternion: Floats, gains: float = 1.0) -> None:
+    def __init__(self, position: Floats, gains: float = 1.0) -> None:
         self._memory = np.zeros(_SIZE)
-        self._state = _view(self._memory)
-        self._state.position[:], self._state.quaternion[:] = position, quaternion
-        self._state.inertial[5] = _G
+        self.state = _view(self._memory)
+        self.state.position[:], self.state.quaternion[0], self.state.inertial[5] = position, 1.0, _G
         self._gains = GAINS * np.array([gains, gains, gains, 1.0, 1.0])
         self._setpoint = np.zeros(4)
         self._ticks = 0
         self.duty = np.zeros(4)
         self.is_tumbled = False
-
-    @property
-    def position(self) -> Floats:
-        """Estimated position in the world [m]."""
-        return self._state.position
-
-    @property
-    def velocity(self) -> Floats:
-        """Estimated velocity in the world [m/s]."""
-        return self._state.velocity
-
-    @property
-    def quaternion(self) -> Floats:
-        """Estimated orientation: w, x, y, z."""
-        return self._state.quaternion
-
-    @property
-    def inertial(self) -> Floats:
-        """Filtered angular velocity [rad/s] and specific force [m/s^2], shape (6,)."""
-        return self._state.inertial
-
-    @property
-    def log(self) -> Floats:
-        """Values of the log group."""
-        return self._state.log
-
-    @property
-    def is_flying(self) -> bool:
-        """Whether the motors turn."""
-        return bool(self.duty.any())
 
     def set_point(self, x: float, y: float, z: float, yaw_deg: float) -> None:
         """Fly to a position in the world [m]."""
@@ -147,7 +126,7 @@ class Firmware:
         """Take a sample of the inertial unit; return the commands of the motors, from 0 to 1."""
         flies = self._setpoint[2] >= _LANDED_M and not self.is_tumbled
         up = _step(self._memory, self._ticks, sample, self._gains, self._setpoint, flies, self.duty)
-        self.is_tumbled |= flies and up < _TUMBLED
+        self.is_tumbled |= flies and up < 0.0
         self._ticks += 1
         return self.duty
 
@@ -180,13 +159,11 @@ def _step(
             state.pids, gains, _P + axis, rate - rates[axis], rates[axis], _ATTITUDE_S
         )
         state.log[12 + axis] = rate
-    _mix(thrust, command[0] / 2.0, command[1] / 2.0, -command[2], duty)
-    log = state.log
-    log[0], log[1], log[2], log[3] = thrust, command[0], command[1], -command[2]
-    log[4:7] = np.radians(rates)
-    log[7] = state.inertial[5] / _G
-    log[8] = thrust
-    log[9:12] = wanted
+    command[2] *= -1.0
+    _mix(thrust, command, duty)
+    state.log[0] = state.log[8] = thrust
+    state.log[1:4], state.log[4:7], state.log[9:12] = command, np.radians(rates), wanted
+    state.log[7] = state.inertial[5] / _G
     return up
 
 
@@ -203,7 +180,7 @@ def _pid(
 
 
 @jit
-def _position(state: _State, gains: Floats, setpoint: Floats, yaw: float) -> None:
+def _position(state: State, gains: Floats, setpoint: Floats, yaw: float) -> None:
     """Compute thrust and attitude, in the frame turned by the yaw."""
     s, c = math.sin(yaw), math.cos(yaw)
     away, speed = setpoint[:3] - state.position, state.velocity
@@ -219,7 +196,7 @@ def _position(state: _State, gains: Floats, setpoint: Floats, yaw: float) -> Non
 
 
 @jit
-def _stop(state: _State, measured: Floats, duty: Floats) -> None:
+def _stop(state: State, measured: Floats, duty: Floats) -> None:
     """Stop the motors and forget the integrals."""
     state.pids[:] = 0.0
     state.pids[_YAW:, 1] = measured
@@ -230,19 +207,15 @@ def _stop(state: _State, measured: Floats, duty: Floats) -> None:
 
 
 @jit
-def _mix(thrust: float, roll: float, pitch: float, yaw: float, duty: Floats) -> None:
+def _mix(thrust: float, command: Floats, duty: Floats) -> None:
     """Distribute the commands; all motors are reduced alike if one would exceed its maximum."""
-    duty[0] = thrust - roll + pitch + yaw
-    duty[1] = thrust - roll - pitch - yaw
-    duty[2] = thrust + roll - pitch + yaw
-    duty[3] = thrust + roll + pitch - yaw
-    too_much = max(duty.max() - _FULL, 0.0)
-    for motor in range(4):
-        duty[motor] = max(duty[motor] - too_much, 0.0) / _FULL
+    wanted = thrust + _MIXER @ command
+    too_much = max(wanted.max() - _FULL, 0.0)
+    duty[:] = np.maximum(wanted - too_much, 0.0) / _FULL
 
 
 @jit
-def _filter(state: _State, sample: Floats) -> None:
+def _filter(state: State, sample: Floats) -> None:
     for i in range(6):
         b, a1, a2 = _FILTERS[i]
         older, last = state.filters[i]
@@ -252,7 +225,7 @@ def _filter(state: _State, sample: Floats) -> None:
 
 
 @jit
-def _predict(state: _State) -> float:
+def _predict(state: State) -> float:
     """Carry the estimate on by a step; return the upward part of the frame's z axis."""
     w, x, y, z = state.quaternion
     p, q, r = 0.5 * STEP_S * state.inertial[:3]

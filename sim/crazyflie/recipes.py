@@ -1,14 +1,13 @@
 """The recipe of a flight: everything that determines it."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Literal
 
 from sim.campaigns import Campaign
-from sim.crazyflie.world import Craft
 from sim.testbed import Recipe
 
-Kind = Literal["hover", "waypoint", "eight"]
+Kind = Literal["takeoff", "hover", "waypoint", "eight", "landing"]
+Place = tuple[float, float, float, float]  # x, y, z [m], yaw [rad]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +22,26 @@ class Leg:
     seconds: float  # that it is to take
     size: float = 0.0  # of the figure of eight: half its length [m]
 
+    @property
+    def end(self) -> Place:
+        """Where it ends."""
+        return self.x, self.y, self.z, self.yaw
+
+
+@dataclass(frozen=True, slots=True)
+class Craft:
+    """What differs between Crazyflies, batteries and days."""
+
+    mass: float  # relative to the model, with markers and deck
+    centre: tuple[float, float]  # of mass: forward and left [m]
+    thrust: tuple[float, ...]  # of each rotor, relative to the model
+    imbalance: tuple[float, ...]  # of each rotor: mass times radius [kg m]
+    charge: float  # of the battery, as a share of its capacity
+    resistance: float  # of the battery [Ohm]
+    wind: tuple[float, float]  # forward and left [m/s]
+    gust: float  # standard deviation along each axis [m/s]
+    unsteady: float  # standard deviation of each rotor's thrust, relative to it
+
 
 @dataclass(frozen=True, slots=True)
 class CrazyflieSession:
@@ -32,7 +51,6 @@ class CrazyflieSession:
     craft: Craft
     gains: float  # of all PIDs, relative to the firmware's
     latency_ms: float  # of every node that processes messages
-    jitter_ms: float  # mean of the delay added to it
     tracking_m: float  # standard deviation of a tracked position, along each axis
     tracking_rad: float  # the same of an orientation, about each axis
     lost: float  # share of the poses that motion capture loses
@@ -45,22 +63,6 @@ class CrazyflieRecipe(Recipe):
     session: CrazyflieSession
     legs: tuple[Leg, ...]
     timeout_s: float
-
-    @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> Self:
-        """Return the recipe from the result of ``to_dict``."""
-        session = document["session"]
-        craft: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value
-            for name, value in session["craft"].items()
-        }
-        return cls(
-            **{
-                **document,
-                "session": CrazyflieSession(**{**session, "craft": Craft(**craft)}),
-                "legs": tuple(Leg(**leg) for leg in document["legs"]),
-            }
-        )
 
     def campaign(self) -> Campaign:
         """Return the run's campaign, as far as the draws of its block depend on it."""

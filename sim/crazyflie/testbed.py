@@ -1,23 +1,14 @@
 """The third testbed: a Crazyflie that hovers, flies to points, and flies a figure of eight."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from sim.campaigns import Campaign
+from sim.crazyflie.drawing import draw
 from sim.crazyflie.recipes import CrazyflieRecipe
-from sim.testbed import Mode, Testbed
+from sim.testbed import Testbed
 
 if TYPE_CHECKING:
     from sim.testbed_run import TestbedRun
-
-
-def _draw(
-    mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any]
-) -> CrazyflieRecipe:
-    from sim.crazyflie.drawing import draw
-
-    return draw(mode, run, campaign, parameters)
 
 
 def _bring_up(recipe: CrazyflieRecipe, folder: Path) -> "TestbedRun":
@@ -26,11 +17,17 @@ def _bring_up(recipe: CrazyflieRecipe, folder: Path) -> "TestbedRun":
     return CrazyflieRun(recipe, folder)
 
 
+_ATTACKS = (
+    *("propeller_cut", "blade_cut", "payload", "string", "tape", "gyro_bias", "pose_offset"),
+    *("pose_drift", "pose_delay", "pose_freeze", "pose_replay", "battery_spoof"),
+)
+
 CRAZYFLIE = Testbed(
-    experiments=("cf_normal", "cf_propeller_cut"),
+    experiments=("cf_normal", *(f"cf_{name}" for name in _ATTACKS)),
+    hard_negatives={"cf_benign_wind": {}, "cf_benign_battery": {}},
     messages=frozenset({"crazyflie_interfaces", "motion_capture_tracking_interfaces"}),
     recipe=CrazyflieRecipe,
-    draw=_draw,
+    draw=draw,
     bring_up=_bring_up,
     made_by="sim.crazyflie.run",
 )

@@ -1,6 +1,6 @@
-"""Motion capture, as the package ``motion_capture_tracking`` publishes it, and the clock."""
+"""Motion capture, as the package ``motion_capture_tracking`` publishes it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -8,42 +8,30 @@ import numpy as np
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
 from sim.crazyflie.airframe import Floats
+from sim.crazyflie.recipes import CrazyflieSession
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
+from sim.middleware.geometry import Pose2D
 from sim.middleware.node import Node
-from sim.middleware.stamps import header, time_message
-from sim.middleware.tf import transforms_template
+from sim.middleware.stamps import header
+from sim.middleware.tf import planar_transform, transforms_template
 
 NAME, FRAME = "cf231", "world"
 POSES_NS = 10 * MILLISECOND
-_CLOCK_NS = 100 * MILLISECOND
-_POSES = "motion_capture_tracking_interfaces/msg/NamedPoseArray"
+POSES = "motion_capture_tracking_interfaces/msg/NamedPoseArray"
 
-_Clock = message_class("rosgraph_msgs/msg/Clock")
 _NamedPose = message_class("motion_capture_tracking_interfaces/msg/NamedPose")
-_NamedPoseArray = message_class(_POSES)
+_NamedPoseArray = message_class(POSES)
 _Point = message_class("geometry_msgs/msg/Point")
 _Pose = message_class("geometry_msgs/msg/Pose")
 _Quaternion = message_class("geometry_msgs/msg/Quaternion")
-_Transform = message_class("geometry_msgs/msg/Transform")
-_TransformStamped = message_class("geometry_msgs/msg/TransformStamped")
-_Vector3 = message_class("geometry_msgs/msg/Vector3")
 
 
-def pose_message(position: Floats, quaternion: Floats) -> Any:
+def pose_message(position: Iterable[float], quaternion: Iterable[float]) -> Any:
     """Return ``geometry_msgs/msg/Pose``, from a quaternion w, x, y, z."""
-    w, x, y, z = quaternion.tolist()
-    return _Pose(_Point(*position.tolist()), _Quaternion(x, y, z, w))
-
-
-class SimulatorClock(Node):
-    """``/clock``."""
-
-    def __init__(self, domain: Domain) -> None:
-        super().__init__(domain, "/simulator")
-        clock = self.create_publisher("rosgraph_msgs/msg/Clock", "/clock", qos.CLOCK)
-        self.create_timer(_CLOCK_NS, lambda: clock.publish(_Clock(time_message(self.now_ns))))
+    w, x, y, z = quaternion
+    return _Pose(_Point(*position), _Quaternion(x, y, z, w))
 
 
 class MotionCapture(Node):
@@ -55,29 +43,26 @@ class MotionCapture(Node):
         As for `Node`.
     measure
         Returns exact position and orientation.
-    tracking_m, tracking_rad, lost
-        Errors, as in `CrazyflieSession`.
+    session
+        Its errors.
     """
 
     def __init__(
         self,
         domain: Domain,
         measure: Callable[[], tuple[Floats, Floats]],
-        tracking_m: float,
-        tracking_rad: float,
-        lost: float,
+        session: CrazyflieSession,
         rng: np.random.Generator,
     ) -> None:
-        super().__init__(domain, "/motion_capture_tracking", rng=rng)
+        super().__init__(domain, "/motion_capture_tracking", endpoints="PE", rng=rng)
         self._measure = measure
-        self._sd = np.repeat([tracking_m, tracking_rad / 2.0], (3, 4))
-        self._lost = lost
-        self._poses = self.create_publisher(_POSES, "/poses", qos.SENSOR_DATA)
+        self._sd = np.repeat([session.tracking_m, session.tracking_rad / 2.0], (3, 4))
+        self._lost = session.lost
+        self._poses = self.create_publisher(POSES, "/poses", qos.SENSOR_DATA)
         self._tf = self.create_publisher("tf2_msgs/msg/TFMessage", "/tf", qos.TF)
-        still = _Transform(_Vector3(0.0, 0.0, 0.0), _Quaternion(0.0, 0.0, 0.0, 1.0))
-        self._transform = transforms_template([_TransformStamped(header(0, FRAME), NAME, still)])
-        here = pose_message(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
-        self._array = Template(_poses(0, here), _POSES, (*STAMP, "poses.0.pose"))
+        self._transform = transforms_template([planar_transform(0, FRAME, NAME, Pose2D())])
+        here = pose_message((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+        self._array = Template(_poses(0, here), POSES, (*STAMP, "poses.0.pose"))
         self.create_timer(POSES_NS, self._publish)
 
     def _publish(self) -> None:
@@ -90,7 +75,7 @@ class MotionCapture(Node):
         w, *turn = quaternion.tolist()
         numbers = [*position.tolist(), *turn, w]
         stamp = divmod(self.now_ns, SECOND)
-        message = _poses(self.now_ns, pose_message(position, quaternion))
+        message = _poses(self.now_ns, pose_message(position.tolist(), quaternion.tolist()))
         self._poses.publish(message, self._array.data(*stamp, numbers))
         self._tf.publish_serialized(self._transform.data(*stamp, numbers))
 

@@ -6,18 +6,18 @@ frame has its origin on the floor, x forward, y left and z up.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from sim.crazyflie.airframe import INERTIA, MASS_KG, STEP_S, Floats, open_voltage, wrench
+from sim.crazyflie.airframe import INERTIA, MASS_KG, STEP_S, Floats, wrench
 from sim.crazyflie.conditions import rotors_of, usual_conditions, vector
+from sim.crazyflie.recipes import Craft
 
 STEP_NS = round(STEP_S * 1e9)
 START_Z = 0.015  # of the frame on the floor [m]
 _GUST_S = 1.0  # correlation time of gusts
-_GYRO_NOISE, _ACCELERATION_NOISE = 0.004, 0.05  # standard deviation of a sample [rad/s, m/s^2]
+_NOISE = np.repeat([0.004, 0.05], 3)  # standard deviation of a sample [rad/s, m/s^2]
 _AHEAD = 512  # steps for which noise is drawn at once
 _EPISODE_NS = 1_000_000_000  # a frame that tumbles over the floor touches it again and again
 _HARD_M_S = 0.7  # speed at which a touch is no landing
@@ -25,50 +25,23 @@ _HARD_M_S = 0.7  # speed at which a touch is no landing
 _MJCF = f"""
 <mujoco>
   <option timestep="{STEP_S}" gravity="0 0 -9.81">
-    <flag island="disable" midphase="disable" frictionloss="disable" limit="disable"
-          equality="disable"/>
+    <flag island="disable" midphase="disable" frictionloss="disable" limit="disable"/>
   </option>
   <worldbody>
-    <geom name="floor" type="plane" size="0 0 1"/>
+    <geom type="plane" size="0 0 1"/>
     <body name="frame" pos="0 0 {START_Z}">
       <freejoint/>
       <inertial pos="{{x}} {{y}} 0" mass="{{mass}}" diaginertia="{{inertia}}"/>
       <geom type="box" size="0.045 0.045 {START_Z}"/>
       <site name="imu"/>
-      <body name="payload">
-        <inertial pos="0 0 0" mass="1e-9" diaginertia="1e-13 1e-13 1e-13"/>
-      </body>
-      <body name="string">
-        <joint type="ball" damping="1e-6"/>
-        <inertial pos="0 0 -0.1" mass="1e-6" diaginertia="1e-10 1e-10 1e-10"/>
-      </body>
+      <body name="payload"><inertial pos="0 0 0" mass="1" diaginertia="1e-13 1e-13 1e-13"/></body>
+      <body name="string"><joint type="ball" damping="1e-6"/>
+        <inertial pos="0 0 0" mass="1" diaginertia="1e-10 1e-10 1e-10"/></body>
     </body>
   </worldbody>
   <sensor><gyro site="imu"/><accelerometer site="imu"/></sensor>
 </mujoco>
 """
-
-
-@dataclass(frozen=True, slots=True)
-class Craft:
-    """What differs between Crazyflies, batteries and days."""
-
-    mass: float  # relative to the model, with markers and deck
-    centre: tuple[float, float]  # of mass: forward and left [m]
-    thrust: tuple[float, ...]  # of each rotor, relative to the model
-    imbalance: tuple[float, ...]  # of each rotor: mass times radius [kg m]
-    charge: float  # of the battery, as a share of its capacity
-    resistance: float  # of the battery [Ohm]
-    wind: tuple[float, float]  # forward and left [m/s]
-    gust: float  # standard deviation along each axis [m/s]
-    unsteady: float  # standard deviation of each rotor's thrust, relative to it
-
-
-@dataclass(frozen=True, slots=True)
-class Touch:
-    """The frame hit the floor, faster than in a landing."""
-
-    stamp_ns: int
 
 
 class World:
@@ -83,6 +56,11 @@ class World:
         force [m/s^2], shape (6,). Returns the commands of the motors, from 0 to 1, shape (4,).
     rng
         Draws gusts and the noise of the inertial unit.
+
+    Attributes
+    ----------
+    hits_ns : list of int
+        When the frame hit the floor, faster than in a landing.
     """
 
     def __init__(
@@ -93,10 +71,9 @@ class World:
         text = _MJCF.format(x=x, y=y, mass=craft.mass * MASS_KG, inertia=inertia)
         self._model = mujoco.MjModel.from_xml_string(text)
         self._data = mujoco.MjData(self._model)
-        mujoco.mj_forward(self._model, self._data)
         self._craft, self._autopilot, self._rng = craft, autopilot, rng
         self._rotor_state = np.zeros((3, 4))
-        self._battery = np.array([craft.charge, open_voltage(craft.charge), 0.0, craft.resistance])
+        self._battery = np.array([craft.charge, 0.0, 0.0, craft.resistance])
         self._air = np.array([0.0, 0.0, 0.0, craft.unsteady])
         self._centre = np.array([*craft.centre, 0.0])
         data = self._data  # of which these are views
@@ -107,24 +84,16 @@ class World:
         self._gust = np.zeros(3)
         self._noise = np.zeros((0, 13))
         self._steps = 0
-        self._last_touch_ns = 0
-        self.touches: list[Touch] = []
+        self.hits_ns: list[int] = []
         self._conditions = usual_conditions()
         self._apply()
 
-    @property
-    def position(self) -> Floats:
-        """Ground truth of the frame in the world, shape (3,) [m]."""
-        return np.array(self._data.qpos[:3])
+    def pose(self) -> tuple[Floats, Floats]:
+        """Return the ground truth of the frame: position [m], and quaternion w, x, y, z."""
+        return self._data.qpos[:3].copy(), self._quaternion.copy()
 
-    @property
-    def quaternion(self) -> Floats:
-        """Ground truth of its orientation: w, x, y, z."""
-        return np.array(self._data.qpos[3:7])
-
-    @property
     def volts(self) -> float:
-        """Voltage of the battery."""
+        """Return the voltage of the battery."""
         return float(self._battery[1])
 
     def change(self, condition: str, value: float) -> None:
@@ -170,13 +139,7 @@ class World:
         mujoco.mj_step(model, data)
         self._steps += 1
         self._duty = self._autopilot(self._sensors + self._bias + draws[3:9] * _NOISE)
-        if data.ncon and self._velocity @ self._velocity > _HARD_M_S**2:
-            self._touch(self._steps * STEP_NS)
-
-    def _touch(self, now_ns: int) -> None:
-        if now_ns - self._last_touch_ns > _EPISODE_NS:
-            self.touches.append(Touch(now_ns))
-        self._last_touch_ns = now_ns
-
-
-_NOISE = np.repeat([_GYRO_NOISE, _ACCELERATION_NOISE], 3)
+        hit_ns = self._steps * STEP_NS
+        is_hard = data.ncon and self._velocity @ self._velocity > _HARD_M_S**2
+        if is_hard and (not self.hits_ns or hit_ns - self.hits_ns[-1] > _EPISODE_NS):
+            self.hits_ns.append(hit_ns)

@@ -12,6 +12,7 @@ from typing import Any
 from oracle_pipeline.bags import manifest as schema
 from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.bags.manifest import Manifest
+from sim.goal_run import GoalRun, Odometer
 from sim.middleware.delays import Delays
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
@@ -20,12 +21,10 @@ from sim.nav2.basic_navigator import GoalProgress
 from sim.nav2.bringup import bring_up
 from sim.nav2.collision_monitor import SOURCES
 from sim.recording import DEBUG_TOPICS, ReceiveClock
-from sim.testbed_run import TestbedRun
 from sim.turtlebot3.arena import Cylinder
 from sim.turtlebot3.map import WORLD_IN_MAP, occupancy_map
 from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.nodes import add_robot
-from sim.turtlebot3.odometer import Odometer
 from sim.turtlebot3.recipes import TurtleBot3Recipe
 from sim.turtlebot3.sessions import estimated_start, load, mapped, sensor_errors
 from sim.turtlebot3.world import World
@@ -42,9 +41,10 @@ class BringUpError(RunDirectoryError):
     """Nav2 did not become active."""
 
 
-class TurtleBot3Run(TestbedRun):
+class TurtleBot3Run(GoalRun):
     """The testbed, for one run."""
 
+    NODE = NODE
     _recipe: TurtleBot3Recipe
 
     def __init__(self, recipe: TurtleBot3Recipe, folder: Path) -> None:
@@ -80,11 +80,8 @@ class TurtleBot3Run(TestbedRun):
             stock=options.nav2 == "stock",
             parameters=options.nav2_params,
         )
-        self._odometer = Odometer(self._executor, lambda: self._world.pose)
+        self._odometer = Odometer(self._executor, self._place)
         self._patrol_over = False
-        self._end_ns = 0
-        self._onset_ns: int | None = None
-        self._attack_end_ns: int | None = None
 
     def go(self) -> None:
         """Start Nav2, record the patrol, and write bag and graphs."""
@@ -97,13 +94,9 @@ class TurtleBot3Run(TestbedRun):
             raise BringUpError(
                 f"Nav2 was not active after {BRING_UP_NS // SECOND} s; look at /rosout in the bag."
             )
-        activation = self._program.activation
-        if activation.before == "forward":
-            self._start_node()
+        self._prepare()
         self._executor.run_until(self._executor.now_ns + BEFORE_RECORDING_NS)
-        self._start_ns = self._executor.now_ns
-        if activation.after == "start":
-            self._set_onset(self._start_ns)
+        self._begin()
         options = recipe.options
         with self._recorded(
             leave_out=DEBUG_TOPICS,
@@ -154,12 +147,6 @@ class TurtleBot3Run(TestbedRun):
             monitor.commands_altered,
         )
 
-    def _onset_s(self) -> float | None:
-        """Return when the node had joined and its scenario began to act; None if it never did."""
-        if self.node is None or self._onset_ns is None or self._onset_ns > self._end_ns:
-            return None
-        return self._seconds(self._onset_ns)
-
     def _attack(self) -> Mapping[str, Any]:
         """Return the scenario's parameters; those of an object are in the odometry frame."""
         parameters = self._recipe.parameters
@@ -171,32 +158,16 @@ class TurtleBot3Run(TestbedRun):
 
     def _on_goal_accepted(self, _result: GoalProgress) -> None:
         self._odometer.mark()
-        activation, number = self._program.activation, len(self._nav2.navigator.results)
-        if activation.after == "goal_accepted" and number == activation.goal:
-            self._set_onset(self._executor.now_ns)
-        if number == activation.until_goal:
-            self._attack_end_ns = self._executor.now_ns
-            if self.node is not None:
-                self.node.end(self._attack_end_ns)
-
-    def _set_onset(self, after_ns: int) -> None:
-        """Activate the scenario, after its delay from ``after_ns``."""
-        activation = self._program.activation
-        self._onset_ns = after_ns + round(activation.delay_s(self._recipe.attack_seed()) * SECOND)
-        if activation.before == "absent":
-            self._executor.call_at(self._onset_ns, self._start_node)
-        elif self.node is not None:
-            self.node.begin(self._onset_ns)
+        self._on_goal(len(self._nav2.navigator.results))
 
     def _start_node(self) -> None:
-        """Add the mode's node to the graph."""
-        if self._recipe.options.wiring == "absent" and not self._program.is_in_place:
-            return
-        node = self._join(NODE, self._latency_ns)
-        if self._onset_ns is not None:
-            node.begin(self._onset_ns)
-        if self._attack_end_ns is not None:
-            node.end(self._attack_end_ns)
+        """Add the mode's node to the graph, unless the campaign leaves it out."""
+        if self._recipe.options.wiring != "absent" or self._program.is_in_place:
+            super()._start_node()
+
+    def _place(self) -> tuple[float, float]:
+        pose = self._world.pose
+        return pose.x, pose.y
 
     def _delays(self, node: str) -> Delays | None:
         """Return the delays that are added to a node's latency."""
@@ -220,10 +191,6 @@ class TurtleBot3Run(TestbedRun):
             driven_m,
             result.number_of_recoveries,
         )
-
-    def _seconds(self, time_ns: int) -> float:
-        """Return a time in seconds of the recording; times before its beginning become 0."""
-        return max(time_ns - self._start_ns, 0) / SECOND
 
 
 def _world_parameters(recipe: TurtleBot3Recipe) -> WorldParameters:

@@ -141,4 +141,5 @@ def test_an_installed_plugin_is_recorded_by_its_name_and_by_its_modes(installed,
     found = RunDirectory(tmp_path / "data", "cart_offset", 0).manifest()
     assert (found.label, found.onset_s, found.changes[0].start_s) == ("malicious", 20.0, 20.0)
     unknown = oracle_sim("record", "--testbed", "boat", cwd=tmp_path)
-    assert "There is no testbed 'boat'; there are turtlebot3, atc, cart." in unknown.stderr
+    known = ", ".join([*TESTBEDS, "cart"])
+    assert f"There is no testbed 'boat'; there are {known}." in unknown.stderr
