@@ -40,7 +40,7 @@ class Odometer:
 
     def distances(self) -> list[float]:
         """Return the length of each part so far [m]."""
-        ends = [*self._marks[1:], self._total_m]
+        ends = [*self._marks, self._total_m][1:]
         return [end - begin for begin, end in zip(self._marks, ends, strict=True)]
 
     def places(self) -> NDArray[np.float64]:
