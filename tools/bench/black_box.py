@@ -4,30 +4,42 @@
 messages in place of a domain, as fast as windows are judged. A card judges the runs after it, of
 other blocks. An onset counts as kept if it is inside a recording that is left; bytes are those of
 messages.
+
+``python -m tools.bench.black_box --tables CAMPAIGN`` takes the windows of a campaign's tables
+instead, so it needs minutes for hours of driving: each half of the blocks is judged by a card of
+the other half's normal runs, without a contract, and seconds stand for bytes.
 """
 
 import argparse
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
+import pandas as pd
 from rosbags.interfaces import QosDurability, QosReliability
 
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.protocol import INTERVAL_S
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE
+from oracle_pipeline.datasets import WINDOW_START, read_table
 from oracle_pipeline.evaluation.estimate import clopper_pearson
-from oracle_pipeline.live.black_box import Keep
+from oracle_pipeline.features import build_manager
+from oracle_pipeline.live.black_box import BlackBox, Keep
 from oracle_pipeline.live.discovery import ENTITIES_QOS, Discovery, Endpoint
 from oracle_pipeline.live.intake import Intake, Received
+from oracle_pipeline.live.recorder import Recorder
 from oracle_pipeline.live.source import Source
 from oracle_pipeline.live.watch import Watch
 from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.opened_run import OpenedRun, open_run
+from oracle_pipeline.scoring.alarms import RATE_PER_H, AlarmWatch
+from oracle_pipeline.scoring.learning import learn
+from oracle_pipeline.scoring.reference import Reference, read_reference
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
 KEEP = Keep(60.0, 30.0)
@@ -156,8 +168,8 @@ class Outcome(NamedTuple):
     """What a black box did with a run."""
 
     hours: float
-    sent: int  # [B]
-    kept: int  # [B]
+    sent: float  # [B], or [s] from tables
+    kept: float
     inside: bool | None  # whether the onset is in a kept recording; None: there is no attack
 
 
@@ -176,17 +188,90 @@ def outcome(path: Path, card: Path) -> Outcome:
         for recording in watch.recordings:
             with open_run(recording) as run:
                 kept += sum(len(message.data) for message in run.bag.messages())
-                inside |= run.bag.start_ns <= onset_ns <= run.bag.end_ns
+                begin_ns = run.bag.start_ns - _SECOND_NS  # a second arrives at once
+                inside |= begin_ns <= onset_ns <= run.bag.end_ns
     is_attack = manifest.label == "malicious" and manifest.onset_s is not None
     return Outcome(manifest.recording_s / 3600.0, source.sent, kept, inside if is_attack else None)
+
+
+@dataclass
+class Tape:
+    """A recording without messages: what `BlackBox` needs of a `Recorder`."""
+
+    start_s: float
+    ended: str = ""
+    files: list[float] = field(default_factory=list)  # when each later file begins
+
+    def forget(self, now_s: float, before_s: float, _latched: object) -> None:
+        """Begin a file, and forget those that are over."""
+        self.files.append(now_s)
+        while self.files[0] <= before_s:
+            self.start_s = self.files.pop(0)
+
+
+def pieces(alarms: Sequence[float], length_s: float) -> Iterator[tuple[float, float]]:
+    """Yield begin and end of what is kept of a drive [s]; alarms in order of time."""
+    tape, box, is_kept, waiting = Tape(0.0), BlackBox(KEEP), False, list(alarms)
+    for now_s in (*np.arange(INTERVAL_S, length_s, INTERVAL_S).tolist(), length_s):
+        while waiting and waiting[0] <= now_s:
+            box.alarm(waiting.pop(0), {})
+            is_kept = True
+        if box.is_complete(cast(Recorder, tape), now_s, ()):
+            yield tape.start_s, now_s
+            tape, box, is_kept = Tape(now_s), BlackBox(KEEP), False
+    if is_kept:
+        yield tape.start_s, length_s
+
+
+def from_tables(campaign: Path) -> Iterator[Outcome]:
+    """Yield what becomes of each run of a campaign but its controls, by its windows."""
+    datasets = campaign / "datasets"
+    reference = read_reference([datasets / "features.parquet"], build_manager())
+    truth: dict[Any, dict[str, float]] = (
+        read_table(datasets / "truth.parquet").set_index("run_id")[["recording_s", "onset_s"]]
+    ).T.to_dict()  # fmt: skip
+    runs = reference.table[reference.table["label"] != "control"]
+    first = runs["block"] < runs["block"].median()
+    for own in (first, ~first):
+        raised = alarms_of(reference, runs[own], runs[~own & (runs["label"] == "normal")])
+        for run_id, label in zip(runs["run_id"][own], runs["label"][own], strict=True):
+            length_s, onset_s = truth[run_id]["recording_s"], truth[run_id]["onset_s"]
+            kept = list(pieces(raised.get(run_id, []), length_s))
+            inside = any(begin <= onset_s <= end for begin, end in kept)
+            is_attack = label == "malicious" and np.isfinite(onset_s)
+            kept_s = sum(end - begin for begin, end in kept)
+            yield Outcome(length_s / 3600.0, length_s, kept_s, inside if is_attack else None)
+
+
+def alarms_of(
+    reference: Reference, judged: pd.DataFrame, normal: pd.DataFrame
+) -> dict[str, list[float]]:
+    """Return the times of alarms in each run [s], by a card of normal runs."""
+    windows = reference.windows
+    assert windows is not None  # noqa: S101 -- a campaign has windows
+    learned_from = windows[windows["run_id"].isin(normal["run_id"])]
+    scorer = learn(replace(reference, table=normal, windows=learned_from)).scorer
+    assert scorer.windows_ is not None  # noqa: S101 -- learned with windows
+    rule = scorer.windows_.rule(max(RATE_PER_H, scorer.windows_.lowest_rate()))
+    windows = windows[windows["run_id"].isin(judged["run_id"])]
+    ends_s = windows[WINDOW_START].to_numpy(dtype=np.float64) + WINDOW_S
+    rows = (ends_s, scorer.window_scores(windows), scorer.window_families(windows))
+    watches: dict[str, AlarmWatch] = {}
+    raised: dict[str, list[float]] = {}
+    for run_id, end_s, score, families in zip(windows["run_id"], *rows, strict=True):
+        if watches.setdefault(run_id, AlarmWatch(rule)).feed(end_s, score, families) is not None:
+            raised.setdefault(run_id, []).append(float(end_s))
+    return raised
 
 
 def main() -> None:
     """Print what becomes of each run, and both figures."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("paths", type=Path, nargs="+", metavar="CARD RUN...")
-    told, card = list[Outcome](), Path()
-    for path in parser.parse_args().paths:
+    parser.add_argument("paths", type=Path, nargs="*", metavar="CARD RUN...")
+    parser.add_argument("--tables", type=Path, metavar="CAMPAIGN")
+    options = parser.parse_args()
+    told, card = [] if options.tables is None else list(from_tables(options.tables)), Path()
+    for path in options.paths:
         if path.is_file():
             card = path
         else:
@@ -201,7 +286,7 @@ def main() -> None:
         kept, sent = np.moveaxis(sizes[drawn].sum(axis=1), -1, 0)
         low, high = np.quantile(kept / sent, [0.025, 0.975])
         hours, share = sum(each.hours for each in drives), sizes[:, 0].sum() / sizes[:, 1].sum()
-        print(f"Bytes kept of {hours:.2f} h of driving: {share:.1%} ({low:.1%} to {high:.1%}).")
+        print(f"Kept of {hours:.2f} h of driving: {share:.1%} ({low:.1%} to {high:.1%}).")
 
 
 if __name__ == "__main__":
