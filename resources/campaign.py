@@ -17,7 +17,7 @@ class CampaignSettings(dg.ConfigurableResource[None]):
         description="Seed of all randomness; the same seed gives the same messages.",
     )
     goals_per_run: int = Field(
-        default=8, ge=1, description="Goals of the patrol of one run; 1 is the thesis's protocol."
+        default=8, ge=1, description="Goals of one run; 1 is the thesis's protocol."
     )
     storage: Literal["mcap", "sqlite3"] = Field(
         default="mcap", description="Storage of the recorded bags."
