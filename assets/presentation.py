@@ -28,7 +28,7 @@ _KEYS = {
     "label": "normal, malicious (attacked), control or unknown",
     "block": "runs of a block have the same start and goals; -1: none",
     "session": "the day in the laboratory, which blocks share; -1: none",
-    "world": "the arena that the robot drove in",
+    "world": "the place of the run, such as an arena",
     "window_start_s": "start of the window in the recording [s]",
     "where": "JSON: topic, pair or edge at which each feature was attained",
     "missing": "JSON: why a feature has no value",

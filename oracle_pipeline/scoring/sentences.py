@@ -40,7 +40,7 @@ _PHRASES: Sequence[tuple[str, str]] = (
     ("stamps.*", "The times of messages of {where} are irregular"),
     ("contextual.total_turning", "The robot turned {value} in all; normal runs turn {usual}"),
     ("contextual.turning_per_metre", "The robot turned {value}; normal runs turn {usual}"),
-    ("contextual.speed", "The robot drove at {value} on average; normal runs drive at {usual}"),
+    ("contextual.speed", "The robot moved at {value} on average; normal runs move at {usual}"),
     ("contextual.clearance", "The robot came within {value} of things; normal runs keep {usual}"),
     ("contextual.duration", "The robot had a goal for {value}; normal runs take {usual}"),
     ("contextual.goals_reached", "The robot reached {value} of its goals; usual is {usual}"),

@@ -20,7 +20,7 @@ _GUST_S = 1.0  # correlation time of gusts
 _NOISE = np.repeat([0.004, 0.05], 3)  # standard deviation of a sample [rad/s, m/s^2]
 _AHEAD = 512  # steps for which noise is drawn at once
 _EPISODE_NS = 1_000_000_000  # a frame that tumbles over the floor touches it again and again
-_HARD_M_S = 0.7  # speed at which a touch is no landing
+_HARD_M_S = 1.5  # speed at which a touch is no landing
 
 _MJCF = f"""
 <mujoco>

@@ -24,7 +24,8 @@ from sim.fuzzing.scenario import parse_scenarios
 from sim.testbed import Mode
 
 MOVES = 0.5
-DOSES_MM = (0, 1, 2, 3, 4, 6, 8)  # over all blades
+# Cuts of both blades of a propeller, as uneven as in the recordings.
+CUTS_MM = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (2.0, 1.5), (2.0, 2.0), (3.0, 2.5), (4.0, 4.0))
 FLIGHTS = 3  # for each dose
 # Kind of damage, the airframe that has most of its recordings, and the motors.
 KINDS = (("cut_one", "E8", (3,)), ("cut_two", "E9", (1, 2)))
@@ -38,7 +39,8 @@ main:
   input: /poses
   output: /poses
 parameters:
-  cut: {type: float, default: 0.0, min: 0.0, max: 8.0, unit: mm}
+  a: {type: float, default: 0.0, unit: mm}
+  b: {type: float, default: 0.0, unit: mm}
 set_parameters:
 """
 
@@ -66,20 +68,19 @@ def recorded(folder: Path) -> pd.DataFrame:
 def flown(motors: tuple[int, ...], root: Path) -> Iterator[dict[str, float]]:
     """Yield the features of the twin's flights with their dose."""
     cuts = "".join(
-        f"  - {{node: /world, name: m{motor}.cut_{blade}_mm, value: p.cut}}\n"
+        f"  - {{node: /world, name: m{motor}.cut_{blade}_mm, value: p.{blade}}}\n"
         for motor in motors
         for blade in "ab"
     )
     (scenario,) = parse_scenarios((_SCENARIO + cuts).encode(), "twin")
     campaign = Campaign(goals_per_run=3, session=0)
-    for dose in DOSES_MM:
+    for a, b in CUTS_MM:
         for block in range(FLIGHTS):
-            run = RunDirectory(root / f"{len(motors)} {dose}", "cut", block)
-            each = dose / (2 * len(motors))
-            record_run(recipe_for(Mode(scenario), block, campaign, {"cut": each}), run)
+            run = RunDirectory(root / f"{len(motors)} {a} {b}", "cut", block)
+            record_run(recipe_for(Mode(scenario), block, campaign, {"a": a, "b": b}), run)
             with BagReader(run.bag) as bag:
                 log = [bag.deserialize(m).values for m in bag.messages(["/cf231/controller"])]
-            yield {"cut_mm": dose, **features(pd.DataFrame(log, columns=[*LOG]))}
+            yield {"cut_mm": len(motors) * (a + b), **features(pd.DataFrame(log, columns=[*LOG]))}
 
 
 def correlations(table: pd.DataFrame) -> pd.Series:

@@ -63,7 +63,7 @@ def test_headline_prefers_what_people_understand_unless_another_is_much_farther(
     statistic, clear = evidence("my_plugin.value", z=50.0), evidence("contextual.speed", z=30.0)
     near = Verdict("bag", "anomalous", evidence=(statistic, clear))
     far = Verdict("bag", "anomalous", evidence=(statistic, evidence("contextual.speed", z=9.0)))
-    assert headline(near).startswith("The robot drove at 2.5 m/s on average")
+    assert headline(near).startswith("The robot moved at 2.5 m/s on average")
     assert headline(far).startswith("Only a statistic is unusual")
 
 
@@ -76,7 +76,7 @@ def test_headline_prefers_what_people_understand_unless_another_is_much_farther(
         (Verdict("bag", "anomalous"), "none of them alone is."),
         (
             Verdict("bag", "unsupported", evidence=(evidence("contextual.speed"),)),
-            "Most unusual: the robot drove at 2.5 m/s",
+            "Most unusual: the robot moved at 2.5 m/s",
         ),
     ],
     ids=lambda value: value.outcome if isinstance(value, Verdict) else "",
