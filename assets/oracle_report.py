@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import dagster as dg
 
-from assets import presentation
 from assets.aggregates import aggregate, run_table, windows_of
 from assets.feature_dataset import feature_dataset
 from assets.oracle_evaluation import oracle_evaluation
@@ -52,38 +51,29 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
     """Write the report, `<root>/report/index.html`, with a page for each run.
 
     The first screen has the recorded runs, the results, and claims that are not supported yet.
-    Below it are detection, and one run of each attack beside its control; folded sections have
-    integrity checks, detectors and the thesis's method. The page of a run has its map, unusual
-    windows, evidence, goals and outcome. All links are relative.
+    Below it are detection and alarms; folded sections have integrity checks, detectors and the
+    thesis's method. The page of a run has its map, unusual windows, evidence, goals and outcome.
+    All links are relative.
     """
     from oracle_pipeline.bags.remote import published
     from oracle_pipeline.evaluation.run_deviations import deviations_of_runs
-    from oracle_pipeline.replay.picture import FILM
+    from oracle_pipeline.replay.picture import FILM, kept_picture
     from oracle_pipeline.reporting import html, thesis_reports
     from oracle_pipeline.reporting.arrivals_page import summary
-    from oracle_pipeline.reporting.explanation import explanations
     from oracle_pipeline.reporting.run_pages import ShownRuns, write_run_pages
     from oracle_pipeline.reporting.searched import searched
     from oracle_pipeline.reporting.stored_report import Report
     from oracle_pipeline.scoring.kept_verdicts import kept_verdicts
     from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
-    def draw(run: str) -> bytes:
-        from oracle_pipeline.replay.picture import kept_picture
-
-        return kept_picture(store.run(run).path)
-
     with clear_failures():
         evaluation = Report.load(store.results("oracle_evaluation"))
-        judged = evaluation.tables["runs"]
-        df = run_table(store, testbed_of(judged["mode"].iloc[0]))
+        df = run_table(store, testbed_of(evaluation.tables["runs"]["mode"].iloc[0]))
         measured = MeasuredRuns.ordered(df, windows_of(store, df))
-        explained = explanations(df, measured.windows, judged, draw)
         deviations = deviations_of_runs(df)
         rows, rate, seed, _ = bootstrap_settings(store)
         page = html.render(
             evaluation=evaluation,
-            explained=explained,
             record=record_command,
             grid=Report.load(store.results("clustering_grid_search")),
             rates=Report.load(store.results("malicious_rate_report")),
@@ -102,7 +92,7 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
             path=lambda run: store.run(run).path,
             film=FILM,
             manifest=lambda run: store.run(run).manifest(),
-            picture=draw,
+            picture=lambda run: kept_picture(store.run(run).path),
         )
         with published(store.run_pages, last="index.html") as folder:
             pages = write_run_pages(shown, folder)
@@ -110,7 +100,6 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
         f"Report on {len(df)} runs, and a page for each of {pages}: {store.report}. The UI of "
         f"`make ui` shows it at {REPORT_PATH}/."
     )
-    pictures = {run: png for each in explained for run, png in each.pictures.items()}
     return dg.MaterializeResult(
         metadata={
             "path": dg.MetadataValue.path(str(store.report)),
@@ -119,7 +108,6 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
             "runs": len(df),
             "run_pages": pages,
             "headline": str(evaluation.summary["headline"]),
-            **presentation.pictures(pictures),
         }
     )
 

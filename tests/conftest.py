@@ -5,6 +5,8 @@ import gc
 import os
 import sys
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 # Before NumPy is imported: as many test processes as cores, each with one thread.
@@ -56,6 +58,14 @@ def recorded_run(shared_folder: Path):
     return RecordedRuns(folder)
 
 
+@contextmanager
+def locked(place: Path) -> Iterator[None]:
+    """Let one test process at a time make something."""
+    with Path(f"{place}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
 @pytest.fixture(scope="session")
 def normal_card(shared_folder: Path, recorded_run) -> Path:
     """A reference card of five normal runs of one goal, learned once for all test processes."""
@@ -64,9 +74,20 @@ def normal_card(shared_folder: Path, recorded_run) -> Path:
     from oracle_pipeline.scoring.reference import read_reference
 
     card = shared_folder / "normal.card"
-    with Path(f"{card}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+    with locked(card):
         if not card.exists():
             runs = [recorded_run("lidar_passthrough", number).path for number in range(5)]
             learn(read_reference(runs, build_manager())).save(card)
     return card
+
+
+@pytest.fixture(scope="session")
+def report_pages(shared_folder: Path) -> Path:
+    """Pages of synthetic campaigns, made once for all test processes: see ``write_pages``."""
+    from tests.oracle_pipeline.reporting.pages import write_pages
+
+    folder = shared_folder / "report_pages"
+    with locked(folder):
+        if not folder.exists():
+            write_pages(folder)
+    return folder

@@ -21,8 +21,7 @@ from oracle_pipeline.evaluation.integrity_checks import (
     blocks_to_separate,
 )
 from oracle_pipeline.evaluation.splits import MIN_BLOCKS
-
-_NAMED = 3  # features without a value that the first screen names
+from oracle_pipeline.scoring.selection import named
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +134,4 @@ def _unused(df: pd.DataFrame) -> list[OpenClaim]:
     ]
     if not empty:
         return []
-    more = f" and {len(empty) - _NAMED} more" if len(empty) > _NAMED else ""
-    named = ", ".join(empty[:_NAMED]) + more
-    return [OpenClaim("Anything by features without a value", f"No run has {named}.")]
+    return [OpenClaim("Anything by features without a value", f"No run has {named(empty)}.")]

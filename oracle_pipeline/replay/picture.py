@@ -9,7 +9,6 @@ from oracle_pipeline.bags.run_directory import BAG_FOLDER, MANIFEST_FILE
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.opened_run import OpenedRun, open_run
 from oracle_pipeline.replay.film import frames
-from oracle_pipeline.replay.radar import has_tracks, plan_view, radar_display
 from oracle_pipeline.replay.scene import top_down
 from oracle_pipeline.replay.story import run_scene
 
@@ -33,7 +32,7 @@ def kept_picture(path: Path) -> bytes:
         fetched(path / BAG_FOLDER) as bag,
         OpenedRun(path, BagReader(bag), manifest, ()) as run,  # graphs are not drawn
     ):
-        png = _drawn(run)
+        png = top_down(run_scene(run))
     with replacing(place) as sink:
         sink.write(png)
     return png
@@ -45,8 +44,7 @@ def pictures(run_or_bag: Path, number: int = 1) -> list[tuple[float, bytes]]:
     Returns
     -------
     list of (float, bytes)
-        Seconds since the start, and PNG. One picture shows the whole run, from 0 s; air traffic
-        has no others.
+        Seconds since the start, and PNG. One picture shows the whole run, from 0 s.
 
     Raises
     ------
@@ -54,10 +52,6 @@ def pictures(run_or_bag: Path, number: int = 1) -> list[tuple[float, bytes]]:
         If it cannot be read or drawn.
     """
     with open_run(run_or_bag) as run:
-        if number == 1 or has_tracks(run):
-            return [(0.0, _drawn(run))]
+        if number == 1:
+            return [(0.0, top_down(run_scene(run)))]
         return list(frames(run_scene(run, number / max(run.duration_s, 1.0))))
-
-
-def _drawn(run: OpenedRun) -> bytes:
-    return plan_view(radar_display(run)) if has_tracks(run) else top_down(run_scene(run))

@@ -6,7 +6,7 @@ of runs.
 """
 
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 
@@ -17,17 +17,11 @@ from oracle_pipeline.evaluation.comparisons import ALL_MODES, HARD_NEGATIVES, HE
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.metrics import RESAMPLES
 from oracle_pipeline.evaluation.splits import BLOCK
-from oracle_pipeline.reporting.explanation import Explanation
 from oracle_pipeline.reporting.first_screen import Recorder, first_screen
 from oracle_pipeline.reporting.searched import Searched
 from oracle_pipeline.reporting.stored_report import Report
-from oracle_pipeline.reporting.tables import (
-    PageTable,
-    evidence_table,
-    plain_table,
-    table,
-)
-from oracle_pipeline.reporting.templating import Picture, picture, run_picture, template
+from oracle_pipeline.reporting.tables import PageTable, plain_table, table
+from oracle_pipeline.reporting.templating import Picture, picture, template
 
 LIBRARIES = ("numpy", "scipy", "scikit-learn", "pandas", "networkx", "matplotlib", "mujoco")
 NO_STORAGE = pd.DataFrame()
@@ -36,7 +30,6 @@ NO_STORAGE = pd.DataFrame()
 def render(
     *,
     evaluation: Report,
-    explained: Sequence[Explanation],
     record: Recorder,
     grid: Report,
     rates: Report,
@@ -53,8 +46,6 @@ def render(
     ----------
     evaluation : Report
         From `oracle_pipeline.reporting.evaluation_report`.
-    explained : sequence of Explanation
-        Attacked runs, each with its evidence.
     record : callable
         Returns the command that records further runs.
     grid, rates, pairs, side_by_side : Report
@@ -79,14 +70,6 @@ def render(
         arrived=arrived,
         scorer=evaluation.summary["scorer"],
         checks=evaluation.tables["checks"].to_dict("records"),
-        explained=[
-            (
-                each,
-                evidence_table(f"What is unusual in {each.run_id}", each.evidence),
-                [run_picture(run, png) for run, png in each.pictures.items()],
-            )
-            for each in explained
-        ],
         searched=searched,
         tables={
             **_tables_of_evaluation(evaluation),

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.scratch import replaced_folder
 from oracle_pipeline.detectors import Deviation, by_family
 from oracle_pipeline.evaluation.card_verdicts import RATE
 from oracle_pipeline.features import FeatureTables
-from oracle_pipeline.reporting.explanation import drawn
 from oracle_pipeline.reporting.stored_report import Report
 from oracle_pipeline.reporting.tables import PageTable, evidence_table, table
-from oracle_pipeline.reporting.templating import run_page, run_picture, template
+from oracle_pipeline.reporting.templating import Picture, run_page, run_picture, template
 from oracle_pipeline.reporting.two_scores import scores_table, task_table
 from oracle_pipeline.scoring.evidence import farthest_features
 from oracle_pipeline.scoring.feature_sets import feature_sets
@@ -90,7 +90,7 @@ def _pages(shown: ShownRuns) -> Iterator[tuple[str, str]]:
         manifest = shown.manifest(run)
         deviations = shown.deviations.get(run, ())
         tables = FeatureTables(row, measured.windows.iloc[windows_of[number]])
-        pictures, undrawn = drawn([run], shown.picture)
+        pictures, undrawn = _drawn(run, shown.picture)
         of_judged = judged.loc[run] if run in judged.index else None
         yield (
             run,
@@ -103,7 +103,7 @@ def _pages(shown: ShownRuns) -> Iterator[tuple[str, str]]:
                 scores=None if of_judged is None else scores_table(of_judged, manifest, usual),
                 task=task_table(of_judged, manifest, usual),
                 goals=_goals(manifest),
-                pictures=[run_picture(run, png) for run, png in pictures.items()],
+                pictures=pictures,
                 undrawn=undrawn,
                 alarms_s=raised.loc[raised["run_id"] == run, "at_s"].tolist(),
                 evidence=evidence_table(
@@ -115,6 +115,14 @@ def _pages(shown: ShownRuns) -> Iterator[tuple[str, str]]:
                 beside=[other for other in blocks[row["block"].iloc[0]] if other != run],
             ),
         )
+
+
+def _drawn(run: str, draw: Callable[[str], bytes]) -> tuple[list[Picture], list[str]]:
+    """Return the picture of a run, or the reason why there is none."""
+    try:
+        return [run_picture(run, draw(run))], []
+    except (OracleError, OSError) as error:
+        return [], [f"{run} is not drawn: {error}"]
 
 
 def _verdict(judged: pd.Series | None, scored: int) -> str:

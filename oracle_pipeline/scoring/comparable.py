@@ -1,8 +1,7 @@
-"""Selects the features and normal runs of a reference for comparison with one recording."""
+"""Which features a recording shares with a reference, and which of its runs it resembles."""
 
 import json
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -12,42 +11,11 @@ from oracle_pipeline.datasets import (
     MISSING,
     feature_columns,
     field_metadata,
-    is_malicious,
     signal_columns,
 )
-from oracle_pipeline.scoring.feature_sets import feature_sets
 from oracle_pipeline.scoring.verdict import ScoringError
 
 LISTED = 5  # most features or reasons named in a note
-
-
-class Comparable(NamedTuple):
-    """The part of a reference that one recording is compared with."""
-
-    columns: list[str]  # features present in both
-    normal_runs: pd.DataFrame  # of the same kind of system and of other blocks
-    notes: list[str]  # which features and runs are left out, and why
-
-
-def comparable(row: pd.DataFrame, reference: pd.DataFrame) -> Comparable:
-    """Return the features and the normal runs to compare a recording with.
-
-    Parameters
-    ----------
-    row : DataFrame of one row
-        The features of the recording. If it is one of the reference runs, its block is left out.
-    reference : DataFrame
-        One row per run.
-
-    Raises
-    ------
-    ScoringError
-        The reference and the recording share no feature, or a feature has different units.
-    """
-    candidates = feature_sets(reference).get("all", [])
-    columns, notes = shared_features(row, reference, candidates)
-    normal_runs = _normal_runs(row, reference, columns, notes)
-    return Comparable(columns, normal_runs, notes)
 
 
 def shared_features(
@@ -90,23 +58,6 @@ def shared_features(
 def join_first(words: Sequence[str]) -> str:
     """Return the first `LISTED` words as a comma-separated list."""
     return ", ".join([*words[:LISTED], *(["..."] if len(words) > LISTED else [])])
-
-
-def _normal_runs(
-    row: pd.DataFrame, reference: pd.DataFrame, columns: list[str], notes: list[str]
-) -> pd.DataFrame:
-    """Return the runs to compare with; append to `notes` why normal runs are left out."""
-    normal = reference[~is_malicious(reference)]
-    alike = same_kind(normal, columns)
-    if not alike.all():
-        notes.append(
-            f"{np.sum(~alike)} normal runs of the reference are left out, because they come from "
-            "another kind of system: they lack a whole family of features that this recording has."
-        )
-    own_block = normal["block"].isin(reference.loc[same_recording(reference, row), "block"])
-    if own_block.any():
-        notes.append("It is one of the reference runs, so all runs of its block are left out.")
-    return normal[alike & ~own_block.to_numpy()]
 
 
 def same_kind(table: pd.DataFrame, columns: Sequence[str]) -> NDArray[np.bool_]:

@@ -8,31 +8,14 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.datasets import WHERE, WINDOW_START, topic_of_signal
-from oracle_pipeline.detectors import Deviation, explain
+from oracle_pipeline.detectors import Deviation
 from oracle_pipeline.features import FeatureTables
-from oracle_pipeline.scoring.comparable import comparable
 from oracle_pipeline.scoring.run_scorer import NormalRange
-from oracle_pipeline.scoring.verdict import Evidence, ScoringError, WindowSeries
+from oracle_pipeline.scoring.verdict import Evidence, WindowSeries
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
 SHOWN = 5  # features listed with a verdict
 _STILL_FAR = 0.5  # share of the largest distance down to which a change lasts
-
-
-def evidence(tables: FeatureTables, reference: pd.DataFrame) -> tuple[Evidence, ...]:
-    """Return the features of one recording that are farthest from normal runs, without a verdict.
-
-    If the recording is part of the reference, its block is left out.
-
-    Raises
-    ------
-    OracleError
-        The reference has no normal run of another block, or shares no feature with the recording.
-    """
-    columns, normal_runs, _ = comparable(tables.run, reference)
-    if normal_runs.empty:
-        raise ScoringError("There is no normal run of another block to compare with; record some.")
-    return farthest_features(explain(normal_runs, tables.run, columns), tables)
 
 
 def farthest_features(

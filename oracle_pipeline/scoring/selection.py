@@ -92,6 +92,10 @@ def recordings_for(count: int, blocks: int) -> int:
 
 
 def _named(reference: Reference, rows: NDArray[np.bool_]) -> str:
-    names = [str(name) for name in reference.table.loc[rows, "run_id"]]
+    return named(reference.table.loc[rows, "run_id"].tolist())
+
+
+def named(names: Sequence[str]) -> str:
+    """Return the first few names as text, and how many more there are."""
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     return ", ".join(names[:_NAMED]) + more

@@ -7,10 +7,8 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, sync_playwright
 
-from oracle_pipeline.reporting.html import write_page
 from oracle_pipeline.reporting.run_pages import write_run_pages
 from tests.browser.chromium import CHROMIUM
-from tests.oracle_pipeline.reporting.pages import large_page, poor_page, whole_page
 from tests.oracle_pipeline.reporting.test_run_pages import ATTACKED, shown_runs
 
 pytestmark = pytest.mark.slow
@@ -27,9 +25,6 @@ def browser():
         chromium.close()
 
 
-MADE = {"whole": whole_page, "poor": poor_page, "large": large_page}
-
-
 @pytest.fixture(scope="module")
 def run_page(tmp_path_factory):
     root = tmp_path_factory.mktemp("runs")
@@ -37,11 +32,9 @@ def run_page(tmp_path_factory):
     return root / "report" / "runs" / f"{ATTACKED.replace('|', '/')}.html"
 
 
-@pytest.fixture(scope="module", params=list(MADE))
-def report(request, tmp_path_factory):
-    path = tmp_path_factory.mktemp("report") / "index.html"
-    write_page(MADE[request.param](), path)
-    return path
+@pytest.fixture(scope="module", params=["whole", "poor", "large"])
+def report(request, report_pages):
+    return report_pages / f"{request.param}.html"
 
 
 class Visit:

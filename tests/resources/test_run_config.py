@@ -20,9 +20,6 @@ HARMLESS_TEXT = {
     "resources.budget.config.limit",  # a number of bytes
     "ops.oracle_evaluation.config.testbed",  # compared with what manifests say
     "ops.bootstrapped_dataset.config.testbed",
-    # Names from a fixed list; another one is an error.
-    "ops.clustering_grid_search.config.linkages",
-    "ops.clustering_grid_search.config.metrics",
     "loggers.console.config.log_level",
     "loggers.console.config.name",
 }

@@ -3,7 +3,6 @@
 import io
 import json
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,7 +15,6 @@ from oracle_pipeline.evaluation import campaign_evaluation, metrics
 from oracle_pipeline.evaluation.ranking import standing
 from oracle_pipeline.reporting import html, thesis_reports
 from oracle_pipeline.reporting.evaluation_report import evaluation_report
-from oracle_pipeline.reporting.explanation import explanations
 from oracle_pipeline.reporting.searched import searched
 from oracle_pipeline.reporting.stored_report import Report
 from tests.oracle_pipeline.datasets.synthetic import campaign
@@ -69,7 +67,6 @@ def parts_of(df, windows, truth, *, mutants=None, differences=None, **more):
         drawn = thesis_reports.bootstrapped_dataset(df, ROWS)
         return {
             "evaluation": judged,
-            "explained": explanations(df, windows, judged.tables["runs"], draw),
             "record": record,
             "grid": thesis_reports.clustering_grid_search(drawn.table),
             "rates": thesis_reports.malicious_rate_report(df, ROWS),
@@ -115,35 +112,26 @@ def searches_of_two():
         return searched(Path(name))
 
 
-@cache
-def parts_of_the_whole():
-    """Return what the page with every section shows, of a campaign with obvious attacks."""
-    return parts_of(
-        *campaign(30, effect=20.0),  # as many blocks as all checks need
+def write_pages(folder):
+    """Write pages of synthetic campaigns: with every section, of 840 runs, and of two blocks.
+
+    Two blocks support next to nothing, and one of their runs has no onset.
+    """
+    whole = parts_of(
+        *campaign(30, effect=20.0),  # obvious attacks, and as many blocks as all checks need
         mutants=grid_of([1.0, 40.0], 2, used=30),
         differences=[],
         storage=pd.DataFrame({"mode": ["fake_object"], "full_bags": [9]}),
         searched=searches_of_two(),
         Note="<script>alert(1)</script>",
     )
-
-
-@cache
-def whole_page():
-    """Return a page with every section."""
-    return html.render(**parts_of_the_whole())
-
-
-@cache
-def large_page():
-    """Return the page of 840 runs."""
-    whole = parts_of_the_whole()
-    return html.render(**{**whole, "evaluation": with_many_runs(whole["evaluation"])})
-
-
-@cache
-def poor_page():
-    """Return the page of two blocks, which support next to nothing, and of a run without onset."""
     df, windows, truth = campaign(2)
     short = truth.iloc[:1].assign(run_id="delayed_fakeobject|run099", onset_s=float("nan"))
-    return page_of(df, windows, pd.concat([truth, short], ignore_index=True))
+    pages = {
+        "whole": html.render(**whole),
+        "large": html.render(**{**whole, "evaluation": with_many_runs(whole["evaluation"])}),
+        "poor": page_of(df, windows, pd.concat([truth, short], ignore_index=True)),
+    }
+    folder.mkdir()
+    for name, page in pages.items():
+        html.write_page(page, folder / f"{name}.html")

@@ -6,19 +6,13 @@ from itertools import product
 import pytest
 
 from oracle_pipeline.reporting.html import write_page
-from tests.oracle_pipeline.reporting.pages import (
-    UNDRAWN,
-    large_page,
-    poor_page,
-    whole_page,
-)
 
 pytestmark = pytest.mark.slow(2)
 
 VOID = {"meta", "img", "link", "br"}
 FIRST = ["recorded", "found", "open"]
 EVERYTHING = [
-    "verdicts", "explained", "searched", "alarms", "integrity", "scorers",
+    "verdicts", "searched", "alarms", "integrity", "scorers",
     "magnitude", "trees", "thesis", "storage", "reading", "provenance",
 ]  # fmt: skip
 LARGEST = 1_000_000  # bytes of the main page, so that it opens at once
@@ -69,13 +63,13 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def page():
-    return whole_page()
+def page(report_pages):
+    return (report_pages / "whole.html").read_text("utf-8")
 
 
 @pytest.fixture(scope="module")
-def poor():
-    return poor_page()
+def poor(report_pages):
+    return (report_pages / "poor.html").read_text("utf-8")
 
 
 def answer(page):
@@ -155,8 +149,8 @@ def test_the_first_screen_says_how_many_runs_are_left_out(page, poor):
     assert "before the onset" not in page.split("<nav")[0]
 
 
-def test_the_page_of_840_runs_is_small_and_marks_every_run():
-    page = large_page()
+def test_the_page_of_840_runs_is_small_and_marks_every_run(report_pages):
+    page = (report_pages / "large.html").read_text("utf-8")
     assert len(page.encode()) < LARGEST
     assert len(set(re.findall(r'href="(runs/\w+/run\d{3}.html)" tabindex', page))) == 840
 
@@ -166,17 +160,6 @@ def test_every_check_has_its_result_as_text(page, poor):
     assert len(panel) == 8
     assert all(status == word for status, _, word in panel)
     assert {(mark, word) for _, mark, word in panel} >= {("✓", "green"), ("?", "unsupported")}
-
-
-def test_attacked_runs_are_explained_by_changed_features_and_shown_beside_controls(page):
-    section = page[page.index('id="explained"') : page.index('id="searched"')]
-    runs = re.findall(r"<h3><a [^>]+>(\w+)\|run\d\d\d</a></h3>", section)
-    assert runs == ["random_noise", "fake_object", "delayed_fakeobject"]
-    assert section.count("Called anomalous at a false positive rate of 5%") == 3
-    first_rows = re.findall(r'<tbody>\n<tr>\n  <th scope="row">([^<]*)<', section)
-    assert set(first_rows) <= {"contextual.yaw_variance", "structural.entropy"}
-    drawn = section.count("<img")
-    assert drawn == 6 - section.count(f"{UNDRAWN} is not drawn: its bag is gone")
 
 
 def test_a_note_is_printed_once_below_its_table_and_numbered_in_it(poor):
