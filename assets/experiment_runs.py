@@ -16,12 +16,7 @@ from pydantic import Field
 
 from assets import presentation
 from assets.asset_defaults import SINGLE_RUN, declared
-from assets.events import (
-    Materialized,
-    check_evaluation,
-    latest_materialization,
-    materializations,
-)
+from assets.events import Materialized, check_evaluation, latest_materialization, materializations
 from assets.partition_work import PartitionWork
 from assets.partitions import RUNS
 from assets.worker.versions import feature_code

@@ -7,14 +7,7 @@ from typing import TYPE_CHECKING
 
 import dagster as dg
 
-from assets.aggregates import (
-    TRUTH,
-    TestbedConfig,
-    aggregate,
-    keep,
-    run_table,
-    windows_of,
-)
+from assets.aggregates import TRUTH, TestbedConfig, aggregate, keep, run_table, windows_of
 from assets.feature_dataset import feature_dataset
 from assets.run_checks import PAIR_CHECK, complete_pairs
 from oracle_pipeline.bags.run_directory import RunDirectory

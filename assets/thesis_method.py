@@ -9,12 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import dagster as dg
 from pydantic import Field
 
-from assets.aggregates import (
-    TestbedConfig,
-    aggregate,
-    keep,
-    run_table,
-)
+from assets.aggregates import TestbedConfig, aggregate, keep, run_table
 from assets.feature_dataset import feature_dataset
 from assets.partitions import testbed_of
 from resources.failures import clear_failures

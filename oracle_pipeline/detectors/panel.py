@@ -21,10 +21,7 @@ from oracle_pipeline.detectors.distances import (
     NearestRuns,
     PrincipalComponents,
 )
-from oracle_pipeline.detectors.guarded import (
-    AmpleEllipticEnvelope,
-    DistinctLocalOutlierFactor,
-)
+from oracle_pipeline.detectors.guarded import AmpleEllipticEnvelope, DistinctLocalOutlierFactor
 
 DEFAULT_DETECTOR = "mahalanobis"  # docs/explanation/detectors.md gives the reasons
 PLUGINS = "oracle_pipeline.detectors"  # group of entry points

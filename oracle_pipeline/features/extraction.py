@@ -34,12 +34,7 @@ from oracle_pipeline.features.engine.plugin import (
 )
 from oracle_pipeline.features.engine.shared import system_of
 from oracle_pipeline.features.engine.spans import Span
-from oracle_pipeline.features.engine.tables import (
-    FeatureTables,
-    RecordingFeatures,
-    Table,
-    together,
-)
+from oracle_pipeline.features.engine.tables import FeatureTables, RecordingFeatures, Table, together
 from oracle_pipeline.features.manager import FeatureManager, build_manager
 from oracle_pipeline.features.signals.collector import SignalCollector
 from oracle_pipeline.features.signals.statistics import SignalTable

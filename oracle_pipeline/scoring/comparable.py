@@ -7,12 +7,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.datasets import (
-    MISSING,
-    feature_columns,
-    field_metadata,
-    signal_columns,
-)
+from oracle_pipeline.datasets import MISSING, feature_columns, field_metadata, signal_columns
 from oracle_pipeline.scoring.verdict import ScoringError
 
 LISTED = 5  # most features or reasons named in a note

@@ -12,13 +12,7 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.alarms import Alarm
-from oracle_pipeline.scoring.verdict import (
-    AspectScore,
-    CardOrigin,
-    Evidence,
-    Verdict,
-    WindowSeries,
-)
+from oracle_pipeline.scoring.verdict import AspectScore, CardOrigin, Evidence, Verdict, WindowSeries
 
 VERSION = 2
 

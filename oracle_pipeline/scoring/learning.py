@@ -29,13 +29,7 @@ from oracle_pipeline.scoring.cross_conformal import SEED, CrossConformalScorer
 from oracle_pipeline.scoring.feature_sets import ASPECTS, feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.reference import Reference, read_reference
-from oracle_pipeline.scoring.run_scorer import (
-    OF_FEATURES,
-    OF_SIGNALS,
-    PLAIN,
-    Design,
-    common_length,
-)
+from oracle_pipeline.scoring.run_scorer import OF_FEATURES, OF_SIGNALS, PLAIN, Design, common_length
 from oracle_pipeline.scoring.selection import counted, without_odd
 from oracle_pipeline.scoring.verdict import CardOrigin, ScoringError
 

@@ -7,12 +7,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.datasets import (
-    MISSING,
-    WHERE,
-    DatasetError,
-    is_malicious,
-)
+from oracle_pipeline.datasets import MISSING, WHERE, DatasetError, is_malicious
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -22,13 +22,7 @@ from sklearn.pipeline import Pipeline
 
 from oracle_pipeline.clustering.scaling import CLIP
 from oracle_pipeline.datasets import topic_of_signal
-from oracle_pipeline.detectors import (
-    BeyondRange,
-    Detector,
-    LargestGroup,
-    SignalScaler,
-    pipeline,
-)
+from oracle_pipeline.detectors import BeyondRange, Detector, LargestGroup, SignalScaler, pipeline
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 OF_FEATURES = ("run", "windows")

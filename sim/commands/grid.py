@@ -20,12 +20,7 @@ from sim.commands.batch import (
     short_errors,
     workers_option,
 )
-from sim.commands.kill_matrix import (
-    MutantGrid,
-    derive_mutant,
-    mutants,
-    write_index,
-)
+from sim.commands.kill_matrix import MutantGrid, derive_mutant, mutants, write_index
 from sim.commands.magnitudes import BUILT_IN, sweeps_of
 from sim.commands.parameter_values import sweep
 from sim.experiments import Job, record_job

@@ -13,10 +13,7 @@ from oracle_pipeline.bags.reader import RawMessage
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE
 from oracle_pipeline.bags.terminal import progress_bar
 from sim.campaigns import DEFAULT_SEED
-from sim.commands.batch import (
-    allow_actuation_option,
-    short_errors,
-)
+from sim.commands.batch import allow_actuation_option, short_errors
 from sim.commands.parameter_values import typed
 from sim.experiments import recipe_of
 from sim.fuzzing.compilation import compile_scenario

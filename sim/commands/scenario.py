@@ -9,10 +9,7 @@ from typing import Any
 import click
 import yaml
 
-from sim.commands.batch import (
-    allow_actuation_option,
-    short_errors,
-)
+from sim.commands.batch import allow_actuation_option, short_errors
 from sim.commands.parameter_values import ranges
 from sim.fuzzing.compilation import MAX_COST, compile_file
 from sim.fuzzing.scenario import Scenario, ScenarioError

@@ -14,14 +14,7 @@ from sim.fuzzing.fields import as_sent
 from sim.fuzzing.grammar import ExpressionError
 from sim.fuzzing.lanes import check_names, compile_actions, playback, with_further_topics
 from sim.fuzzing.operators import ON_TIMER, compile_operators
-from sim.fuzzing.program import (
-    Action,
-    Activation,
-    Parameter,
-    ParameterChange,
-    Program,
-    Source,
-)
+from sim.fuzzing.program import Action, Activation, Parameter, ParameterChange, Program, Source
 from sim.fuzzing.scenario import (
     NO_FILE,
     SET_PARAMETERS,

@@ -28,12 +28,7 @@ from sim.nav2.costmap import (
     occupancies,
     occupancy_grid,
 )
-from sim.nav2.costmap_layers import (
-    Observation,
-    ObstacleLayer,
-    shift,
-    static_costs,
-)
+from sim.nav2.costmap_layers import Observation, ObstacleLayer, shift, static_costs
 from sim.nav2.footprint import FOOTPRINT, INSCRIBED_RADIUS, POLYGON, polygon_message
 from sim.nav2.inflation import AS_SHIPPED, Inflation, InflationLayer
 from sim.nav2.laser import scan_points

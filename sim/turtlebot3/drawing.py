@@ -29,14 +29,7 @@ from sim.testbed import Mode
 from sim.turtlebot3.arena import Arena
 from sim.turtlebot3.floor_plans import KINDS, draw_arena
 from sim.turtlebot3.map import RESOLUTION_M, WORLD_IN_MAP, occupancy_map, odom_in_map
-from sim.turtlebot3.recipes import (
-    ARENA,
-    RELATION,
-    Block,
-    Conditions,
-    FakeObject,
-    TurtleBot3Recipe,
-)
+from sim.turtlebot3.recipes import ARENA, RELATION, Block, Conditions, FakeObject, TurtleBot3Recipe
 from sim.turtlebot3.relations import related
 from sim.turtlebot3.sessions import draw_session
 

@@ -128,7 +128,9 @@ def test_features_alone_are_extracted_from_the_bag_in_the_bucket(shared: SharedL
     assert content_hash(read_table(place)) == version
 
 
-def test_a_damaged_run_is_reported_and_re_simulated(shared: SharedLaboratory) -> None:
+def test_a_damaged_run_is_reported_and_without_its_manifest_re_simulated(
+    shared: SharedLaboratory,
+) -> None:
     run = STORE.run(KEY)
     version = run.manifest().content_hash
     (run.graphs / "000000.gexf").unlink()
@@ -141,19 +143,11 @@ def test_a_damaged_run_is_reported_and_re_simulated(shared: SharedLaboratory) ->
     messages = [record.user_message for record in shared.instance.all_logs(result.run_id)]
     assert any(text.startswith(f"{KEY} failed: ") for text in messages)
 
-    config = {"runs": {"refresh": True}}
-    assert shared.materialize(PER_RUN, KEY, config=config).success
+    run.manifest_path.unlink()  # it comes last: as if the run was partly published
+    assert not run.is_complete()
+    assert shared.materialize(PER_RUN, KEY).success
     assert run.manifest().content_hash == version
     assert bytes_on_disk(run.path) == run.manifest().measured.bytes
-
-
-def test_a_partly_published_run_is_re_simulated(shared: SharedLaboratory) -> None:
-    run = STORE.run(KEY)
-    version = run.manifest().content_hash
-    run.manifest_path.unlink()  # it comes last
-    assert not run.is_complete()
-    assert shared.materialize(["bags"], KEY).success
-    assert run.manifest().content_hash == version
 
 
 def test_a_run_with_unexplained_differences_is_stored_beside_the_one_in_the_bucket(

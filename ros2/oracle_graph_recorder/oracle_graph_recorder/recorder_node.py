@@ -18,12 +18,7 @@ from rclpy.qos import (
 )
 from rosidl_runtime_py.utilities import get_message
 
-from oracle_graph_recorder.interval_graphs import (
-    IntervalGraphs,
-    Traffic,
-    full_name,
-    snapshot,
-)
+from oracle_graph_recorder.interval_graphs import IntervalGraphs, Traffic, full_name, snapshot
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.protocol import is_hidden
 

@@ -4,13 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oracle_pipeline.bags.errors import GraphError
-from oracle_pipeline.bags.graph_files import (
-    KINDS,
-    read_gexf,
-    vertex_id,
-    write_gexf,
-    write_graphml,
-)
+from oracle_pipeline.bags.graph_files import KINDS, read_gexf, vertex_id, write_gexf, write_graphml
 
 WRITERS = [write_gexf, write_graphml]
 

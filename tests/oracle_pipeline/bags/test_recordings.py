@@ -20,13 +20,7 @@ from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.records import MOST_AT_ONCE
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from tests.oracle_pipeline.bags.conftest import text
-from tests.oracle_pipeline.bags.makers import (
-    STRING,
-    McapOptions,
-    write_db3,
-    write_mcap,
-    write_ros1,
-)
+from tests.oracle_pipeline.bags.makers import STRING, McapOptions, write_db3, write_mcap, write_ros1
 
 SECOND = 1_000_000_000
 MESSAGES = [

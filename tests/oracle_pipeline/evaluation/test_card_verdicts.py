@@ -5,11 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from oracle_pipeline.evaluation.card_verdicts import (
-    blocks_for_verdicts,
-    card_folds,
-    card_verdicts,
-)
+from oracle_pipeline.evaluation.card_verdicts import blocks_for_verdicts, card_folds, card_verdicts
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.judging import Recording, judge, judge_all

@@ -2,12 +2,7 @@ import numpy as np
 import pytest
 
 from oracle_pipeline.detectors import panel
-from oracle_pipeline.evaluation.held_out import (
-    conformal,
-    held_out,
-    of_tested,
-    standardised,
-)
+from oracle_pipeline.evaluation.held_out import conformal, held_out, of_tested, standardised
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.splits import Fold, block_folds
 from tests.oracle_pipeline.datasets.synthetic import ATTACKED, campaign

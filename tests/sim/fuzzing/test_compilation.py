@@ -8,13 +8,7 @@ import pytest
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.execution import execute
 from sim.fuzzing.scenario import ScenarioError
-from tests.sim.fuzzing.workbench import (
-    SCAN,
-    builtin,
-    doing,
-    program,
-    scenario,
-)
+from tests.sim.fuzzing.workbench import SCAN, builtin, doing, program, scenario
 
 
 @pytest.mark.parametrize(

@@ -13,13 +13,7 @@ from oracle_pipeline.bags.types import typestore
 from sim.fuzzing.expressions import compile_expression
 from sim.fuzzing.random import Draws
 from sim.fuzzing.scopes import Scope
-from sim.fuzzing.value_types import (
-    FLOAT,
-    INTEGER,
-    Number,
-    message_type,
-    missing,
-)
+from sim.fuzzing.value_types import FLOAT, INTEGER, Number, message_type, missing
 from tests.sim.fuzzing.language import (
     ELEMENT,
     GLOBAL,

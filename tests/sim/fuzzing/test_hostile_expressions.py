@@ -9,14 +9,7 @@ from hypothesis import strategies as st
 from sim.fuzzing.expressions import compile_expression
 from sim.fuzzing.functions import BUILTINS, CONSTANTS
 from sim.fuzzing.grammar import ExpressionError
-from tests.sim.fuzzing.language import (
-    LOOP,
-    NAMES,
-    VECTORS,
-    assert_is_value,
-    environments,
-    template,
-)
+from tests.sim.fuzzing.language import LOOP, NAMES, VECTORS, assert_is_value, environments, template
 
 pytestmark = [pytest.mark.usefixtures("quiet"), pytest.mark.slow]
 

@@ -6,10 +6,7 @@ from sim.fuzzing.expression_compiler import MAX_DEPTH, MAX_OPERATIONS
 from sim.fuzzing.expressions import compile_expression
 from sim.fuzzing.grammar import ExpressionError
 from sim.fuzzing.scopes import Function, Scope
-from sim.fuzzing.value_types import (
-    FLOAT,
-    Text,
-)
+from sim.fuzzing.value_types import FLOAT, Text
 from tests.sim.fuzzing.language import NAMES, VECTORS
 
 pytestmark = pytest.mark.usefixtures("quiet")

@@ -20,12 +20,7 @@ from sim.nav2.costmap import (
     footprint_cost,
     occupancy_grid,
 )
-from sim.nav2.costmap_layers import (
-    Observation,
-    ObstacleLayer,
-    shift,
-    static_costs,
-)
+from sim.nav2.costmap_layers import Observation, ObstacleLayer, shift, static_costs
 from sim.nav2.footprint import FOOTPRINT, INSCRIBED_RADIUS
 from sim.nav2.inflation import InflationLayer
 from sim.nav2.laser import scan_points

@@ -5,13 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.fuzzing.functions import haversine_m
-from tests.sim.fuzzing.workbench import (
-    builtin,
-    report,
-    results,
-    stamp,
-    start,
-)
+from tests.sim.fuzzing.workbench import builtin, report, results, stamp, start
 
 TARGET = "C07AB1"
 

@@ -15,13 +15,7 @@ from sim.middleware.node import Node
 from sim.turtlebot3.arena import HEXAGON
 from sim.turtlebot3.map import FREE, OCCUPIED, UNKNOWN, occupancy_map
 from sim.turtlebot3.mjcf import WorldParameters
-from sim.turtlebot3.sensors import (
-    SCAN_RANGE_MAX_M,
-    GyroError,
-    ImuPlugin,
-    LidarNoise,
-    noisy_ranges,
-)
+from sim.turtlebot3.sensors import SCAN_RANGE_MAX_M, GyroError, ImuPlugin, LidarNoise, noisy_ranges
 from sim.turtlebot3.sessions import draw_session, estimated_start, mapped, sensor_errors
 from sim.turtlebot3.world import World
 
