@@ -131,7 +131,8 @@ def _open_run_directory(path: Path) -> OpenedRun:
             path,
             path,
         )
-    intervals = read_intervals(path / GRAPHS_FOLDER)
+    watched = recording_summary(path)  # a live system may be silent, or disturbed
+    intervals = read_intervals(path / GRAPHS_FOLDER, gaps=watched is not None)
     bag = BagReader(path / BAG_FOLDER, strict=True)
     claimed = {name: topic.messages for name, topic in manifest.topics.items()}
     claimed.pop(GROUND_TRUTH_TOPIC, None)
@@ -144,4 +145,5 @@ def _open_run_directory(path: Path) -> OpenedRun:
             f"messages on {', '.join(differing)} differ. If it was trimmed to save space, "
             f"`oracle-sim remake {path}` restores it."
         )
-    return OpenedRun(path, bag, manifest, intervals)
+    disturbances = Disturbances.from_dict(watched or {})
+    return OpenedRun(path, bag, manifest, intervals, disturbances=disturbances)

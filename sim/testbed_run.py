@@ -1,13 +1,13 @@
 """What the runs of all testbeds have in common: the scenario's node, the recording, the facts."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from oracle_pipeline.bags.integrity import hashes_of_files
-from oracle_pipeline.bags.manifest import Manifest, Measured, Software
+from oracle_pipeline.bags.manifest import Manifest, Measured, Software, TopicCount
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, bytes_on_disk
 from oracle_pipeline.bags.writer import BagWriter
 from sim.fuzzing.compilation import compile_document
@@ -74,9 +74,14 @@ class TestbedRun(ABC):
             recorder.store()
             graph.finish()
 
+    def _contents(self) -> tuple[Mapping[str, TopicCount], str]:
+        """Return the topics of the bag, and the hash of its messages."""
+        return self._bag.topics, self._bag.content_hash
+
     def _facts(self, wall_s: float, software: Software) -> dict[str, Any]:
         """Return the fields of the manifest that follow from recipe, scenario and recording."""
         recipe, scenario = self._recipe, self._program.scenario
+        topics, content_hash = self._contents()
         return {
             "mode": recipe.mode,
             "label": scenario.label,
@@ -88,8 +93,8 @@ class TestbedRun(ABC):
             "scenario_hash": scenario.digest,
             "task_effect": None,  # until both the run and its control exist
             "changes": () if self.node is None else self.node.changes(self._start_ns),
-            "topics": self._bag.topics,
-            "content_hash": self._bag.content_hash,
+            "topics": topics,
+            "content_hash": content_hash,
             "recipe": recipe.to_dict(),
             "software": software,
             "measured": Measured(

@@ -1,15 +1,20 @@
-"""The testbeds by name: those that come with this project, and plug-ins.
+"""The testbeds by name: those that come with this project, plug-ins, and files of commands.
 
-Both are entry points of one group. A plug-in that cannot be loaded is left out, with its error.
+The first two are entry points of one group. One that cannot be loaded is left out, with its error.
 """
 
+import os
+import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points, version
-from typing import Any
+from pathlib import Path
+from typing import Any, Protocol
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.sources import dependencies
 from sim.fuzzing.scenario import Scenario
+from sim.outside.testbed import FOLDER, read_testbed
 from sim.testbed import Testbed
 
 GROUP = "oracle_sim.testbeds"
@@ -20,16 +25,57 @@ BUILT_IN = {
 }
 
 
+_NAME = re.compile("[a-z][a-z0-9_]*")
+
+
 class TestbedError(OracleError):
     """A testbed does not exist, or cannot be loaded."""
 
 
-def load_testbeds(points: Iterable[EntryPoint]) -> tuple[dict[str, Testbed], tuple[str, ...]]:
-    """Return the testbeds of entry points by name, and the errors of those that are left out."""
+class Source(Protocol):
+    """Where a testbed is: an entry point or a file."""
+
+    @property
+    def name(self) -> str:
+        """Of the testbed."""
+
+    @property
+    def value(self) -> str:
+        """The place, for errors."""
+
+    def load(self) -> Any:
+        """Return the testbed, or raise any error."""
+
+
+@dataclass(frozen=True, slots=True)
+class TestbedFile:
+    """A testbed of commands, in a YAML file."""
+
+    file: Path
+
+    @property
+    def name(self) -> str:
+        """Of the testbed: that of its file."""
+        return self.file.stem
+
+    @property
+    def value(self) -> str:
+        """The place."""
+        return str(self.file)
+
+    def load(self) -> Testbed:
+        """Return the testbed."""
+        return read_testbed(self.file)
+
+
+def load_testbeds(points: Iterable[Source]) -> tuple[dict[str, Testbed], tuple[str, ...]]:
+    """Return the testbeds of some places by name, and the errors of those that are left out."""
     testbeds: dict[str, Testbed] = {}
     broken = []
     for point in points:
         try:
+            if not _NAME.fullmatch(point.name):
+                raise TestbedError("its name may have small letters, digits and underscores only")
             if point.name in testbeds:
                 raise TestbedError("there is a testbed of this name already; choose another")
             testbeds[point.name] = _loaded(point)
@@ -39,7 +85,7 @@ def load_testbeds(points: Iterable[EntryPoint]) -> tuple[dict[str, Testbed], tup
     return testbeds, tuple(broken)
 
 
-def _loaded(point: EntryPoint) -> Testbed:
+def _loaded(point: Source) -> Testbed:
     """Return the testbed of an entry point."""
     testbed = point.load()
     if not isinstance(testbed, Testbed):
@@ -54,6 +100,10 @@ TESTBEDS, BROKEN_TESTBEDS = load_testbeds(
     [
         *(EntryPoint(name, place, GROUP) for name, place in BUILT_IN.items()),
         *sorted(entry_points(group=GROUP), key=lambda point: (point.name, point.value)),
+        *map(
+            TestbedFile,
+            sorted(Path(os.environ[FOLDER]).glob("*.yaml")) if os.environ.get(FOLDER) else (),
+        ),
     ]
 )
 

@@ -222,6 +222,8 @@ class RawReader:
         The requested QoS.
     store : Typestore, optional
         Defines the type; by default the built-in one.
+    others_only : bool
+        Whether messages of the same participant are left out.
 
     Attributes
     ----------
@@ -236,11 +238,20 @@ class RawReader:
         msgtype: str,
         qos: Qos,
         store: Typestore | None = None,
+        *,
+        others_only: bool = False,
     ) -> None:
         self.lost = self._taken = 0
         self._arrived = np.zeros(1, np.int64)
         self.topic, self.entity = _endpoint(
-            sub.DataReader, "subscribe to", participant, name, msgtype, qos, store, self._arrived
+            _foreign_reader if others_only else sub.DataReader,
+            "subscribe to",
+            participant,
+            name,
+            msgtype,
+            qos,
+            store,
+            self._arrived,
         )
 
     @property
@@ -263,6 +274,11 @@ class RawReader:
         if len(taken) < _MOST_AT_ONCE:  # none is left of those that had arrived
             self.lost = max(self.lost, arrived - self._taken)
         return messages
+
+
+def _foreign_reader(participant: Participant, named: Any, qos: "DdsQos") -> Any:
+    """Return a reader that does not receive what its own participant sends."""
+    return sub.DataReader(participant, named, qos + DdsQos(Policy.IgnoreLocal.Participant))
 
 
 class RawWriter:

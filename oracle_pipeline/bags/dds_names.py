@@ -53,6 +53,19 @@ def ros_topic(name: str) -> str | None:
     return f"/{rest}" if prefix == _TOPIC_PREFIX and slash and rest else None
 
 
+def ros_service(name: str) -> str | None:
+    """Return the service whose calls a DDS topic carries; None if it carries others.
+
+    Examples
+    --------
+    >>> ros_service("rq/map_server/load_mapRequest")
+    '/map_server/load_map'
+    """
+    prefix, _, rest = name.partition("/")
+    is_request = prefix == "rq" and rest.endswith("Request")
+    return f"/{rest.removesuffix('Request')}" if is_request else None
+
+
 def dds_type(msgtype: str) -> str:
     """Return the DDS type of a message type.
 

@@ -8,8 +8,8 @@ import math
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
 
+from oracle_pipeline.bags.discovery import Discovery, Endpoint
 from oracle_pipeline.bags.protocol import is_hidden
-from oracle_pipeline.live.discovery import Discovery, Endpoint
 from oracle_pipeline.live.graph_snapshot import snapshot
 from oracle_pipeline.scoring.alarms import REPEAT_S
 from oracle_pipeline.scoring.contract import (

@@ -13,9 +13,9 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosReliability
 
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.dds_names import dds_topic
+from oracle_pipeline.bags.discovery import ENTITIES_QOS
 from oracle_pipeline.bags.errors import DdsError
 from oracle_pipeline.bags.qos_profiles import compatible
-from oracle_pipeline.live.discovery import ENTITIES_QOS
 from oracle_pipeline.live.intake import PACKETS_S, QUEUE_BYTES, Intake, Received
 
 _DEPTH = 500  # history depth of a DDS reader

@@ -1,7 +1,7 @@
 """A DDS domain as a source of messages."""
 
 from oracle_pipeline.bags import dds
-from oracle_pipeline.live.dds_discovery import DdsDiscovery
+from oracle_pipeline.bags.dds_discovery import DdsDiscovery
 from oracle_pipeline.live.dds_intake import DdsIntake
 from oracle_pipeline.live.intake import QUEUE_BYTES
 from oracle_pipeline.live.source import Source

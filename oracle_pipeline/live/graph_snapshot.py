@@ -4,10 +4,10 @@ from collections.abc import Mapping
 
 import networkx as nx
 
+from oracle_pipeline.bags.discovery import Discovery
 from oracle_pipeline.bags.graph_files import RosGraph, add_traffic, vertex_id
 from oracle_pipeline.bags.protocol import is_hidden
 from oracle_pipeline.bags.qos_profiles import compatible
-from oracle_pipeline.live.discovery import Discovery
 
 
 def snapshot(discovery: Discovery, sent: Mapping[int, tuple[int, int]]) -> RosGraph:

@@ -6,12 +6,12 @@ are, so a silent hour costs nothing.
 
 from collections.abc import Callable, Collection
 
+from oracle_pipeline.bags.discovery import Discovery
 from oracle_pipeline.bags.disturbances import Disturbances
 from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S
 from oracle_pipeline.bags.reader import RawMessage
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.live.contract_watch import ContractWatch
-from oracle_pipeline.live.discovery import Discovery
 from oracle_pipeline.live.events import ContractAlarm, Event, GraphTaken
 from oracle_pipeline.live.graph_snapshot import snapshot
 from oracle_pipeline.live.intake import PACKETS_S

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from typing import Any
 
-from oracle_pipeline.live.discovery import Discovery
+from oracle_pipeline.bags.discovery import Discovery
 from oracle_pipeline.live.intake import Intake
 from oracle_pipeline.live.machine import Machine
 

@@ -15,7 +15,7 @@ from rosbags.interfaces import Nodetype, QosDurability
 from rosbags.typesys.store import Typestore
 
 from oracle_pipeline.bags import dds
-from oracle_pipeline.live.discovery import ENTITIES_QOS
+from oracle_pipeline.bags.discovery import ENTITIES_QOS
 
 REQUEST, REPLY = "std_srvs/srv/Trigger_Request", "std_srvs/srv/Trigger_Response"
 _CALL = {"client": "uint64", "number": "int64"}

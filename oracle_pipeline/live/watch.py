@@ -12,6 +12,7 @@ from pathlib import Path
 from time import monotonic, monotonic_ns
 from typing import Any, Self
 
+from oracle_pipeline.bags.discovery import Endpoint
 from oracle_pipeline.bags.disturbances import Disturbances
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.limits import MOST_CHANNELS
@@ -19,7 +20,6 @@ from oracle_pipeline.bags.protocol import is_hidden
 from oracle_pipeline.bags.qos_profiles import is_latched, is_reliable
 from oracle_pipeline.live.black_box import BlackBox, Keep
 from oracle_pipeline.live.contract_watch import ContractWatch
-from oracle_pipeline.live.discovery import Endpoint
 from oracle_pipeline.live.events import ContractAlarm, Event, MessageReceived, Note, WindowAlarm
 from oracle_pipeline.live.intake import Received
 from oracle_pipeline.live.judge_process import JudgeProcess

@@ -20,8 +20,8 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosReliability
 
 from oracle_pipeline.bags import types
 from oracle_pipeline.bags.dds_names import dds_type, ros_type
+from oracle_pipeline.bags.discovery import ENTITIES_QOS, Discovery, Endpoint
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.live.discovery import ENTITIES_QOS, Discovery, Endpoint
 from oracle_pipeline.live.intake import Intake, Received
 from oracle_pipeline.live.source import Source
 

@@ -17,7 +17,7 @@ import click
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.run_directory import RunDirectory
-from sim.campaigns import Campaign
+from sim.campaigns import Campaign, Options, Wiring
 from sim.commands.batch import mode_option, seed_option
 from sim.experiments import recipe_for, record_run
 from sim.middleware.executor import SECOND
@@ -49,17 +49,29 @@ _HELP = "Type `attack NAME` (a mode or a scenario file), `attack off`, or Ctrl-C
 @click.option("--goals", default=20, show_default=True, type=click.IntRange(min=1),
               help="Goals of the patrol; it ends after the last.")  # fmt: skip
 @click.option(
+    "--without-node", is_flag=True,
+    help="Leave out the mode's node, for another program to take its place.",
+)  # fmt: skip
+@click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
     help="Root to store the run in, as `oracle-sim record` does.  [default: it is not kept]",
 )  # fmt: skip
 @seed_option
 def serve(
-    mode: str, speed: float, domain: int | None, run: int, goals: int, out: Path | None, seed: int
+    mode: str,
+    speed: float,
+    domain: int | None,
+    run: int,
+    goals: int,
+    without_node: bool,
+    out: Path | None,
+    seed: int,
 ) -> None:
     """Run a testbed on a real DDS domain, in real time.
 
     All topics have their ROS names and QoS profiles, including `/clock`, and `ros_discovery_info`
-    lists the nodes. So `oracle watch` and ROS 2 tools can observe it. There are no services.
+    lists the nodes. So `oracle watch` and ROS 2 tools can observe it. Its nodes also receive what
+    other programs publish, unless the run is kept. There are no services.
 
     While it runs, a line on standard input switches an attack on or off:
 
@@ -73,17 +85,20 @@ def serve(
         oracle-sim serve -m random_noise --speed 2 --domain 7
     """  # noqa: D301 -- click reads the control character
     try:
-        _serve(mode, speed, domain, run, goals, out, seed)
+        wiring: Wiring = "absent" if without_node else "additive"
+        campaign = Campaign(
+            seed, goals, timeout_s=_TIMEOUT_S * goals, options=Options(wiring=wiring)
+        )
+        _serve(mode, speed, domain, run, campaign, out)
     except OracleError as error:
         raise click.ClickException(str(error)) from error
 
 
 def _serve(
-    mode: str, speed: float, domain: int | None, run: int, goals: int, out: Path | None, seed: int
+    mode: str, speed: float, domain: int | None, run: int, campaign: Campaign, out: Path | None
 ) -> None:
     from oracle_pipeline.bags.dds_names import default_domain
 
-    campaign = Campaign(seed=seed, goals_per_run=goals, timeout_s=_TIMEOUT_S * goals)
     recipe = recipe_for(mode, run, campaign)
     number = default_domain() if domain is None else domain
     with contextlib.ExitStack() as stack:
@@ -118,7 +133,7 @@ class _Session:
         from sim.serving import ServedDomain
 
         self._run = run
-        self._served = ServedDomain(run.domain, self._number)
+        self._served = ServedDomain(run.domain, self._number, receives=not self._is_kept)
         self._served.look(run.domain.executor.now_ns)
         time.sleep(_HEAD_START_S)
         self._started = time.monotonic()
@@ -134,6 +149,7 @@ class _Session:
         """Wait until wall time has reached the time of the simulation."""
         assert self._served is not None  # noqa: S101 -- `begin` made it
         self._served.look(now_ns)
+        self._served.listen()
         while not self._typed.empty():
             self._do(self._typed.get(), now_ns)
         ahead_s = now_ns / SECOND / self._speed - (time.monotonic() - self._started)

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import yaml
 
@@ -214,6 +214,22 @@ def load_scenarios(path: Traversable) -> list[Scenario]:
     return parse_scenarios(_read(path), str(path))
 
 
+def load_document(path: Path, rules: Mapping[str, Any]) -> dict[str, Any]:
+    """Read another kind of file, as safely: one YAML document, checked by a JSON Schema.
+
+    Raises
+    ------
+    ScenarioError
+        As for ``load_scenarios``.
+    """
+    file = str(path)
+    for document, places in _documents(_as_text(_read(path), file), file):
+        if faults := _structure_faults(document, places, file, rules):
+            raise together(faults)
+        return cast(dict[str, Any], document)
+    raise ScenarioError(f"{file}:1:1: expected a document, found an empty file.")
+
+
 def _read(path: Traversable) -> bytes:
     """Return the content of a file, at most a byte more than a scenario file may have.
 
@@ -237,7 +253,7 @@ def parse_scenarios(data: bytes, file: str) -> list[Scenario]:
     scenarios: dict[str, Scenario] = {}
     faults: list[ScenarioError] = []
     for document, places in _documents(text, file):
-        faults += _structure_faults(document, places, file)
+        faults += _structure_faults(document, places, file, schema())
         if faults:
             continue
         scenario = Scenario(file, document, places)
@@ -397,11 +413,11 @@ class _Builder:
 
 
 def _structure_faults(
-    document: Any, places: Mapping[Key, Location], file: str
+    document: Any, places: Mapping[Key, Location], file: str, rules: Mapping[str, Any]
 ) -> list[ScenarioError]:
     """Return the faults in the structure of a document."""
     found = sorted(
-        json_schema.faults(document, schema()),
+        json_schema.faults(document, rules),
         key=lambda error: (len(error.absolute_path), places[tuple(error.absolute_path)]),
     )
     errors = (_error(file, places, *words) for error in found for words in in_words(error))

@@ -3,10 +3,10 @@
 import pytest
 
 from oracle_pipeline.bags import dds
+from oracle_pipeline.bags.dds_discovery import DdsDiscovery
 from oracle_pipeline.bags.graph_files import vertex_id
 from oracle_pipeline.bags.protocol import is_hidden
 from oracle_pipeline.bags.run_directory import RunDirectory
-from oracle_pipeline.live.dds_discovery import DdsDiscovery
 from oracle_pipeline.live.graph_snapshot import snapshot
 from sim.experiments import recipe_for, record_run
 from sim.fuzzing.scenario import ScenarioError

@@ -23,6 +23,7 @@ import numpy as np
 import pandas as pd
 from rosbags.interfaces import QosDurability, QosReliability
 
+from oracle_pipeline.bags.discovery import ENTITIES_QOS, Discovery, Endpoint
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.protocol import INTERVAL_S
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE
@@ -30,7 +31,6 @@ from oracle_pipeline.datasets import WINDOW_START, read_table
 from oracle_pipeline.evaluation.estimate import clopper_pearson
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.live.black_box import BlackBox, Keep
-from oracle_pipeline.live.discovery import ENTITIES_QOS, Discovery, Endpoint
 from oracle_pipeline.live.intake import Intake, Received
 from oracle_pipeline.live.recorder import Recorder
 from oracle_pipeline.live.source import Source

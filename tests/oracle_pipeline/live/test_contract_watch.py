@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 
 from oracle_pipeline.bags import dds
+from oracle_pipeline.bags.dds_discovery import DdsDiscovery
 from oracle_pipeline.graphs.intervals import compose
 from oracle_pipeline.live.contract_watch import CONSECUTIVE, STARTUP_S, ContractWatch
-from oracle_pipeline.live.dds_discovery import DdsDiscovery
 from oracle_pipeline.live.graph_snapshot import snapshot
 from oracle_pipeline.scoring.contract import Contract, Observation, graph_elements, qos_words
 from oracle_pipeline.scoring.pace import Pace

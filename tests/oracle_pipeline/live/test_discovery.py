@@ -6,9 +6,9 @@ import pytest
 from rosbags.typesys import Stores
 
 from oracle_pipeline.bags import dds
+from oracle_pipeline.bags.dds_discovery import DdsDiscovery
+from oracle_pipeline.bags.discovery import UNKNOWN_NODE
 from oracle_pipeline.bags.graph_files import vertex_id
-from oracle_pipeline.live.dds_discovery import DdsDiscovery
-from oracle_pipeline.live.discovery import UNKNOWN_NODE
 from oracle_pipeline.live.graph_snapshot import snapshot
 from sim.middleware.qos import LATCHED
 from tests.oracle_pipeline.live.robots import STRING, Robot

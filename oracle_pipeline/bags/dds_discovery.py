@@ -11,8 +11,14 @@ from typing import Any
 from rosbags.typesys import Stores, get_typestore
 
 from oracle_pipeline.bags import dds, types
-from oracle_pipeline.bags.dds_names import ENTITIES_TOPIC, ENTITIES_TYPE, ros_topic, ros_type
-from oracle_pipeline.live.discovery import ENTITIES_QOS, Discovery, Endpoint
+from oracle_pipeline.bags.dds_names import (
+    ENTITIES_TOPIC,
+    ENTITIES_TYPE,
+    ros_service,
+    ros_topic,
+    ros_type,
+)
+from oracle_pipeline.bags.discovery import ENTITIES_QOS, Discovery, Endpoint
 
 _GUID = 16  # bytes; ROS 2 pads them to 24 up to Humble
 
@@ -28,6 +34,7 @@ class DdsDiscovery(Discovery):
 
     def __init__(self, participant: dds.Participant) -> None:
         super().__init__()
+        self._servers: dict[int, str] = {}  # service of each, by handle
         self._own = participant.guid.bytes
         self._builtin = dds.BuiltinReaders(participant)
         # Identifiers have 24 bytes up to Humble, and 16 later; a reader receives only its own type.
@@ -62,6 +69,10 @@ class DdsDiscovery(Discovery):
         for participant in self._participants.values():
             yield self._nodes.get(participant, {})
 
+    def services(self) -> frozenset[str]:
+        """Return the services that have a server."""
+        return frozenset(self._servers.values())
+
     def _participant(self, sample: dds.Discovered) -> None:
         self.revision += 1
         if sample.alive:
@@ -72,7 +83,10 @@ class DdsDiscovery(Discovery):
     def _endpoint(self, sample: dds.Discovered, *, publishes: bool) -> None:
         if not sample.alive:
             self.revision += self.endpoints.pop(sample.handle, None) is not None
+            self._servers.pop(sample.handle, None)
             return
+        if not publishes and (service := ros_service(sample.topic)) is not None:
+            self._servers[sample.handle] = service
         topic, msgtype = ros_topic(sample.topic), ros_type(sample.type)
         if topic is None or msgtype is None or sample.participant == self._own:
             return

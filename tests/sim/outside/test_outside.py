@@ -1,0 +1,133 @@
+"""A system of programs that know nothing of this project, started by the commands of a file."""
+
+import json
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import yaml
+
+from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.graph_files import read_gexf
+from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.bags.types import deserialize
+from oracle_pipeline.opened_run import open_run
+from sim.campaigns import Campaign
+from sim.experiments import can_be_rebuilt, recipe_for, record_run
+from sim.fuzzing.scenario import ScenarioError
+from sim.outside.testbed import read_testbed
+from sim.scenarios import scenarios_in
+from sim.testbed import Mode
+from sim.testbeds import TESTBEDS
+from tests.dds_domains import domain
+
+__all__ = ["domain"]
+pytestmark = pytest.mark.slow(20)
+TANK = Path(__file__).parents[3] / "examples" / "tank"
+
+
+@pytest.fixture
+def record(tmp_path, domain, monkeypatch):
+    """Record a run of the tank, with changes of its file, on a domain that is free."""
+
+    def recorded(mode, **changes):
+        system = yaml.safe_load((TANK / "tank.yaml").read_text())
+        system |= {"domains": [domain], "scenarios": str(TANK / "scenarios"), **changes}
+        system["start"] = [
+            [
+                w.replace("tank.py", f"{TANK}/tank.py").replace(
+                    "controller.py", f"{TANK}/controller.py"
+                )
+                for w in words
+            ]
+            for words in system["start"]
+        ]
+        file = tmp_path / "tank.yaml"
+        file.write_text(json.dumps(system))
+        monkeypatch.setitem(TESTBEDS, "tank", read_testbed(file))
+        scenario = scenarios_in(TANK / "scenarios")[mode].on("tank")
+        recipe = recipe_for(Mode(scenario), 0, Campaign())
+        directory = RunDirectory(tmp_path / "data", mode, 0)
+        record_run(recipe, directory)
+        return directory
+
+    return recorded
+
+
+def test_a_relay_alters_what_a_live_system_gets_and_the_run_is_one_as_any_other(record):
+    ends = {"after_s": 12, "within_s": 60}
+    run = record("tank_offset", ends=ends)
+    manifest = run.manifest()
+    assert (manifest.label, manifest.outcome, manifest.onset_s) == ("malicious", "succeeded", 5.0)
+    assert 0.9 <= manifest.recipe["values"]["target"] <= 1.1
+    assert not can_be_rebuilt(manifest)
+    with open_run(run.path) as opened, BagReader(run.bag) as bag:
+        assert set(bag.topics) == {"/level", "/level_relayed", "/inflow"}
+        values = {"/level": [], "/level_relayed": [], "/inflow": []}
+        for topic, _, data in bag.messages():
+            values[topic].append(deserialize(data, "std_msgs/msg/Float64").data)
+        assert opened.intervals
+    # The originals of the first were sent before the recording.
+    forwarded = [value in values["/level"] for value in values["/level_relayed"]][10:]
+    assert set(forwarded) == {True, False}
+    assert forwarded == sorted(forwarded, reverse=True)
+    assert manifest.changes[0].start_s == 5.0
+    assert manifest.changes[0].largest == pytest.approx(0.2)
+    graph = read_gexf(run.graphs / "run.gexf")
+    relay = "node:/oracle_relay"
+    assert graph.has_edge("topic:/level", relay)
+    assert graph.has_edge(relay, "topic:/level_relayed")
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"ready": {"topics": ["/level", "/nothing"], "within_s": 2}},
+         "`ready` failed: after 2 s, .*no topic /nothing"),
+        ({"start": [["python3", "-c", "print('no battery'); raise SystemExit(3)"]]},
+         "no battery\nStep `ready` failed: .* has ended with code 3"),
+        ({"start": [["there_is_no_such_program"]]}, "`start` failed: .* does not start"),
+        ({"start": [["python3", "tank.py"]], "ready": {"topics": ["/level"], "within_s": 60},
+          "task": {"command": ["sleep", "60"], "within_s": 1},},
+         "`task` failed: after 1 s, `sleep 60` still runs"),
+    ],
+    ids=["never ready", "crashes", "no program", "task hangs"],
+)  # fmt: skip
+def test_a_run_that_fails_says_which_step_failed_and_leaves_nothing(
+    record, tmp_path, changes, told
+):
+    with pytest.raises(OracleError, match=told) as failed:
+        record("tank_normal", **changes)
+    assert str(pickle.loads(pickle.dumps(failed.value))) == str(failed.value)  # noqa: S301
+    assert not list((tmp_path / "data").glob("runs/*/run*"))
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("stop: {within: 5}", "tank.yaml:11:8: stop.within: expected one of commands, within_s"),
+        ("stop: {commands: [[echo, '{speed}']], within_s: 5}", "block, domain, .* found speed"),
+        ("stop: !!python/object:os.system {}", "expected plain YAML"),
+    ],
+)
+def test_a_file_with_an_error_is_refused_with_its_place(tmp_path, change, told):
+    text = (TANK / "tank.yaml").read_text().replace("stop: {within_s: 5}", change)
+    file = tmp_path / "tank.yaml"
+    file.write_text(text)
+    with pytest.raises(ScenarioError, match=told):
+        read_testbed(file)
+
+
+def test_runs_of_a_block_have_the_same_values_and_those_of_others_differ():
+    testbed = read_testbed(TANK / "tank.yaml")
+    scenarios = scenarios_in(testbed.scenarios)
+    drawn = {
+        (name, run): testbed.draw(Mode(scenarios[name]), run, Campaign(), {}).values
+        for name in testbed.experiments
+        for run in (0, 1)
+    }
+    assert drawn["tank_normal", 0] == drawn["tank_offset", 0] != drawn["tank_normal", 1]
+    recipe = testbed.draw(Mode(scenarios["tank_normal"]), 0, Campaign(), {})
+    assert testbed.recipe.from_dict(recipe.to_dict()) == replace(recipe)
