@@ -31,7 +31,7 @@ from sim.testbed_run import TestbedRun
 
 DOMAINS = (90, 91, 92, 93)  # by default; ROS 2 advises against those above 101
 _RECORDER = "from oracle_pipeline.cli import main; main()"
-_RECORDER_S = 120.0  # until it records, and until it has ended
+_RECORDER_S = 60.0  # until it records, and until it has ended
 _STOP_S = 10.0  # until a program has to end, by default
 _SILENT_S = 5.0  # without a message, a system hangs
 _POLL_S = 0.5
@@ -125,9 +125,9 @@ class OutsideRun(TestbedRun):
             [*command, "--out", str(folder)], self._logs / "recorder", self._at, self._variables
         )
         self._recorder = recorder
-        begun = self._wait("record", lambda: any(folder.glob(f"*/{RECORDING_FILE}")), _RECORDER_S)
-        if not begun:
-            reason = f"no message came within {_RECORDER_S:g} s"
+        within_s = self._system["ready"]["within_s"] + _RECORDER_S
+        if not self._wait("record", lambda: any(folder.glob(f"*/{RECORDING_FILE}")), within_s):
+            reason = f"no message came within {within_s:g} s"
             raise StepError.of("record", reason, recorder.last_lines)
         self._start_ns = int(self._summary()["start_ns"])
         if self._program.activation.after == "start":
