@@ -93,6 +93,6 @@ def test_normal_verdict_tells_what_is_far_outside():
         assert headline(usual) == "It behaved as the normal runs did."
         assert not any("z" in line.split() for line in paragraph(usual))
     lines = list(paragraph(replace(verdict, evidence=(far, near))))
-    assert "far outside in one feature: The robot drove at 2.5" in lines[1]
+    assert "far outside in one feature: The robot moved at 2.5" in lines[1]
     assert "contextual.speed" in lines[-2]
     assert "noise.smooth" not in "".join(lines)
