@@ -1,7 +1,6 @@
 """A job for each purpose, and the nightly schedule that re-simulates one block.
 
-All automation is off by default. The job that deletes old Dagster runs is in
-``assets.run_retention``. docs/how-to/automation.md explains how to use them.
+All automation is off by default. docs/how-to/automation.md explains how to use it.
 """
 
 import dagster as dg

@@ -285,7 +285,6 @@ def _reproducible(
         facts |= {
             "former_path": dg.MetadataValue.path(str(run.path)),
             "new_path": dg.MetadataValue.path(str(refreshed_directory(run).path)),
-            "first_difference": dg.MetadataValue.text(reproduction.first_difference),
         }
     return check_evaluation(
         REPRODUCIBLE,

@@ -28,7 +28,6 @@ with explain_clashes():
         oracle_evaluation,
         oracle_report,
         run_checks,
-        run_retention,
         thesis_method,
     )
     from resources.budget import StorageBudget
@@ -79,12 +78,8 @@ def build_defs(**overrides: object) -> dg.Definitions:
             evaluation_checks.checks_of_evaluation,
             foreign_recordings.checks_of_arrivals,
         ],
-        jobs=[
-            *automation.JOBS,
-            foreign_recordings.judge_arrivals,
-            run_retention.forget_old_runs,
-        ],
-        schedules=[automation.nightly, run_retention.weekly],
+        jobs=[*automation.JOBS, foreign_recordings.judge_arrivals],
+        schedules=[automation.nightly],
         sensors=[arrival_sensor.arrived_recordings],
         resources=resources | overrides,
         executor=in_process_executor,  # the assets fan out themselves

@@ -36,12 +36,17 @@ WORKSPACE = "load_from: [{python_file: {relative_path: definitions.py, location_
 # The pipeline, and a schedule whose next tick is at most a minute away.
 PIPELINE = """
 import dagster as dg
-from assets.run_retention import forget_old_runs
 from oracle_pipeline.definitions import build_defs
 
-every_minute = dg.ScheduleDefinition(
-    name="every_minute", job=forget_old_runs, cron_schedule="* * * * *"
-)
+@dg.op
+def nothing_to_do():
+    pass
+
+@dg.job
+def nothing():
+    nothing_to_do()
+
+every_minute = dg.ScheduleDefinition(name="every_minute", job=nothing, cron_schedule="* * * * *")
 defs = dg.Definitions.merge(build_defs(), dg.Definitions(schedules=[every_minute]))
 """
 STARTS_S, ENDS_S = 240, 120  # in which servers and daemon start, and end in order

@@ -78,7 +78,7 @@ def _resimulate(job: RunJob, previous: Manifest) -> RunReport:
     run = job.directory
     with separate_directory(run) as aside:
         _record(replace(job, directory=aside))
-        reproduction = judge(run, previous, aside)
+        reproduction = judge(previous, aside)
         if reproduction.comparison == "unexplained":
             if not is_local(run.root):
                 publish(aside.path, refreshed_directory(run).path, MANIFEST_FILE)

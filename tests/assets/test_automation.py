@@ -16,7 +16,7 @@ RANGE = ("dagster/asset_partition_range_start", "dagster/asset_partition_range_e
 def test_all_automation_is_off_by_default(empty: Laboratory) -> None:
     schedules = {schedule.name: schedule for schedule in defs.schedules or []}
     sensors = {sensor.name: sensor for sensor in defs.sensors or []}
-    assert set(schedules) == {"nightly", "weekly"}
+    assert set(schedules) == {"nightly"}
     assert set(sensors) == {"arrived_recordings"}
     for schedule in schedules.values():
         assert schedule.default_status == dg.DefaultScheduleStatus.STOPPED

@@ -81,11 +81,9 @@ def test_the_ui_shows_automations_as_switched_off(ui: Query) -> None:
         "  jobs { name } schedules { name scheduleState { status } }"
         "  sensors { name sensorState { status } } } } } }"
     )["repositoriesOrError"]["nodes"][0]
-    assert {"everything", "forget_old_runs"} <= {job["name"] for job in repository["jobs"]}
+    assert {"everything", "judge_arrivals"} <= {job["name"] for job in repository["jobs"]}
     off = {"status": "STOPPED"}
-    assert repository["schedules"] == [
-        {"name": name, "scheduleState": off} for name in ("nightly", "weekly")
-    ]
+    assert repository["schedules"] == [{"name": "nightly", "scheduleState": off}]
     assert {"name": "arrived_recordings", "sensorState": off} in repository["sensors"]
 
 

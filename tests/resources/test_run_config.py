@@ -13,7 +13,7 @@ from resources.store import RunStore
 JOBS = {
     "every asset": defs.resolve_implicit_global_asset_job_def(),
     "everything": defs.resolve_job_def("everything"),
-    "forget_old_runs": defs.resolve_job_def("forget_old_runs"),
+    "report": defs.resolve_job_def("report"),
 }
 # Free text that a run's config may hold, and none of it names a host or a place.
 HARMLESS_TEXT = {
