@@ -5,6 +5,7 @@ that the code location loads without pandas and scikit-learn.
 """
 
 from datetime import timedelta
+from functools import partial
 from typing import TYPE_CHECKING
 
 import dagster as dg
@@ -68,13 +69,14 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
 
     with clear_failures():
         evaluation = Report.load(store.results("oracle_evaluation"))
-        df = run_table(store, testbed_of(evaluation.tables["runs"]["mode"].iloc[0]))
+        testbed = testbed_of(evaluation.tables["runs"]["mode"].iloc[0])
+        df = run_table(store, testbed)
         measured = MeasuredRuns.ordered(df, windows_of(store, df))
         deviations = deviations_of_runs(df)
         rows, rate, seed, _ = bootstrap_settings(store)
         page = html.render(
             evaluation=evaluation,
-            record=record_command,
+            record=partial(record_command, testbed=testbed),
             grid=Report.load(store.results("clustering_grid_search")),
             rates=Report.load(store.results("malicious_rate_report")),
             pairs=Report.load(store.results("pairwise_report")),

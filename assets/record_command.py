@@ -4,7 +4,7 @@ import os
 import shlex
 from collections.abc import Sequence
 
-from assets.partitions import ALL, chosen_modes, run_count
+from assets.partitions import ALL, chosen_modes, run_count, testbed_of
 from sim.modes import modes
 
 # Settings that affect which runs are recorded and where; the command includes those that are set.
@@ -16,11 +16,12 @@ REPEATED = (
     "ORACLE_SESSIONS",
     "ORACLE_NOISE_PER_RUN",
     "ORACLE_SCENARIOS",
+    "ORACLE_TESTBEDS",
     "ORACLE_ALLOW_ACTUATION",
 )
 
 
-def record_command(wanted: Sequence[str], blocks: int) -> str:
+def record_command(wanted: Sequence[str], blocks: int, testbed: str) -> str:
     """Return the command that records the first blocks of modes, and analyses them.
 
     A range of partitions covers neighbouring modes. Runs that exist are verified.
@@ -31,9 +32,13 @@ def record_command(wanted: Sequence[str], blocks: int) -> str:
         Modes; ``benign_*`` matches all with this prefix.
     blocks : int
         Number of blocks, from the first one.
+    testbed : str
+        That of the campaign: modes of others would be of no use. Without any left, all of its
+        modes are recorded.
     """
     beginnings = tuple(name[:-1] for name in wanted if name.endswith("*"))
-    chosen = [mode for mode in modes() if mode in wanted or mode.startswith(beginnings)]
+    known = [mode for mode in modes() if testbed_of(mode) == testbed]
+    chosen = [mode for mode in known if mode in wanted or mode.startswith(beginnings)] or known
     settings = {name: os.environ[name] for name in REPEATED if os.environ.get(name)}
     if blocks > run_count(os.environ) or os.environ.get("ORACLE_RUNS"):
         settings["ORACLE_RUNS"] = str(max(blocks, run_count(os.environ)))

@@ -1,7 +1,7 @@
 """``oracle-sim serve``: a testbed on a DDS domain, in real time.
 
-This is the only module of ``sim`` that uses the wall clock. It slows the run down to real time, and
-changes nothing in it.
+It uses the wall clock, which else only ``sim.outside`` does, to slow the run down to real time. It
+changes nothing in the run, unless another program publishes to it.
 """
 
 import contextlib

@@ -31,13 +31,15 @@ def plain_environment(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("blocks", [3, 20])
 def test_the_command_covers_every_needed_run(blocks: int) -> None:
-    keys = keys_of(record_command(SIX, blocks))
+    keys = keys_of(record_command(SIX, blocks, "turtlebot3"))
     assert keys == [f"{mode}|run{run:03d}" for mode in SIX for run in range(blocks)]
 
 
 def test_a_prefix_selects_all_modes_with_it() -> None:
     benign = [mode for mode in modes() if mode.startswith("benign_")]
-    asked_for = {key.partition("|")[0] for key in keys_of(record_command(["benign_*"], 2))}
+    asked_for = {
+        key.partition("|")[0] for key in keys_of(record_command(["benign_*"], 2, "turtlebot3"))
+    }
     assert asked_for == set(benign)
 
 
@@ -45,14 +47,21 @@ def test_settings_of_the_campaign_are_repeated(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setenv("ORACLE_HOME", "my campaign")
     monkeypatch.setenv("ORACLE_GOALS_PER_RUN", "4")
     monkeypatch.setenv("ORACLE_RUNS", "60")
-    command = record_command(SIX, 20)
+    command = record_command(SIX, 20, "turtlebot3")
     assert "ORACLE_HOME='my campaign' ORACLE_GOALS_PER_RUN=4 ORACLE_RUNS=60 dagster" in command
     assert re.search(r"run000\.\.\.delayed_fakeobject\|run019", command)
 
 
 def test_modes_that_are_not_partitions_are_enabled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ORACLE_MODES", "fake_object")
-    assert "ORACLE_MODES" not in record_command(["fake_object"], 2)
-    command = record_command(SIX, 2)
+    assert "ORACLE_MODES" not in record_command(["fake_object"], 2, "turtlebot3")
+    command = record_command(SIX, 2, "turtlebot3")
     assert {key.partition("|")[0] for key in keys_of(command)} == set(SIX)
     assert "ORACLE_MODES='*'" in command
+
+
+def test_modes_of_other_testbeds_are_not_asked_for() -> None:
+    command = record_command([*SIX, "benign_*", "atc_normal"], 2, "atc")
+    assert {key.partition("|")[0] for key in keys_of(command)} == {"atc_normal"}
+    every = {key.partition("|")[0] for key in keys_of(record_command(SIX, 1, "atc"))}
+    assert every == {mode for mode in modes() if mode.startswith("atc_")}

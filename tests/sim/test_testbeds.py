@@ -14,6 +14,7 @@ from oracle_pipeline.bags.graph_files import read_gexf
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.retention import retain
 from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.bags.sources import dependencies
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from sim.campaigns import Campaign
 from sim.experiments import can_be_rebuilt, recipe_for, recipe_of, record_run, remake_run
@@ -60,6 +61,7 @@ def test_every_testbed_keeps_the_contract(testbed, tmp_path):
     assert recipe.campaign().seed == SHORT.seed
     run = about.bring_up(recipe, tmp_path)
     assert type(run).__module__ == about.made_by
+    assert Path(sys.modules[about.made_by].__file__) in dependencies([about.made_by])
     # What the mode's node reads and publishes is recorded, and in the graph; ground truth is apart.
     program = compile_scenario(mode.scenario)
     assert GROUND_TRUTH_TOPIC in manifest.topics
