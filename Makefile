@@ -76,11 +76,13 @@ run: setup ## Simulate the small campaign, analyse it, and say where the report 
 	@echo "Report: $${ORACLE_HOME:-$(CURDIR)/data}/report/index.html"
 
 BLOCKS := 60
-campaign: setup ## Simulate BLOCKS=60 of every mode and hard negative, and evaluate the oracle on them
+SEED := 20260101
+campaign: setup ## Simulate BLOCKS=60 of every mode and hard negative, SEED=20260101, and evaluate the oracle
 	ORACLE_HOME=$${ORACLE_HOME:-data/campaign} ORACLE_RUNS=$(BLOCKS) ORACLE_GOALS_PER_RUN=4 \
 		ORACLE_NOISE_PER_RUN=1 ORACLE_NAV2=drawn \
 		dagster asset materialize -m oracle_pipeline.definitions --select '*' \
-		--partition-range "lidar_passthrough|run000...benign_slow|$$(printf run%03d $$(($(BLOCKS) - 1)))"
+		--partition-range "lidar_passthrough|run000...benign_slow|$$(printf run%03d $$(($(BLOCKS) - 1)))" \
+		--config-json '{"resources": {"campaign": {"config": {"seed": $(SEED)}}}}'
 
 ui: setup ## Open the pipeline in the browser, on 127.0.0.1
 	oracle-ui -w workspace.yaml
