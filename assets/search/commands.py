@@ -96,9 +96,9 @@ def search(
     workers: int,
     **options: Any,
 ) -> None:
-    """Search for attacks that the oracle misses, with the largest effect at the smallest score.
+    """Search for attacks that the oracle misses.
 
-    TEMPLATE is the name of a built-in scenario or mode, or FILE, or FILE#NAME; its parameters are
+    It looks for the largest effect on the robot's task at the smallest score. TEMPLATE is the name of a built-in scenario or mode, or FILE, or FILE#NAME; its parameters are
     varied. Without it, each trial chooses one of the given topics, an operator, its strength, its
     onset and its duration. Each trial is run in closed loop, compared with the same run without the
     attack, and scored. Later trials learn from both results.

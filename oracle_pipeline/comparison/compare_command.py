@@ -23,7 +23,6 @@ from oracle_pipeline.options import format_option, output_option, plugins_option
 @output_option(
     "--junit", "File for the outcome as JUnit XML, with a test case for each family of features."
 )
-@output_option("--picture", "PNG file for a picture of the features that differ.")
 @plugins_option
 @click.pass_context
 def compare(
@@ -35,7 +34,6 @@ def compare(
     markdown: bool,
     links: tuple[str, ...],
     junit: Path | None,
-    picture: Path | None,
     plugins: Path | None,
 ) -> None:
     """Compare two sets of recordings, such as those of two builds.
@@ -51,7 +49,7 @@ def compare(
     Examples:
         oracle compare monday/ tuesday/
         oracle compare main/ pr/ --markdown > comment.md
-        oracle compare old_build/ new_build/ --junit compare.xml --picture compare.png
+        oracle compare old_build/ new_build/ --junit compare.xml
         oracle compare a/datasets/features.parquet b/datasets/features.parquet --level 0.01
     """  # noqa: D301 -- click reads the control character
     from oracle_pipeline.comparison import texts
@@ -68,9 +66,4 @@ def compare(
     if junit is not None:
         with replacing(junit) as sink:
             sink.write(texts.as_junit(comparison))
-    if picture is not None:
-        from oracle_pipeline.comparison.strips import strips
-
-        with replacing(picture) as sink:
-            sink.write(strips(comparison))
     ctx.exit(texts.EXIT_CODES[comparison.outcome])

@@ -89,8 +89,6 @@ class SetComparison:
         Number of varying features, by family.
     differences : tuple of Difference
         Sorted by statistic, the largest first.
-    values : tuple of DataFrame
-        The compared values, one row per robot of a recording; pairs are in the same order.
     """
 
     outcome: ComparisonOutcome
@@ -100,7 +98,6 @@ class SetComparison:
     lowest_p: float
     compared: dict[str, int]
     differences: tuple[Difference, ...]
-    values: tuple[pd.DataFrame, pd.DataFrame]
     notes: tuple[str, ...] = ()
 
 
@@ -183,7 +180,6 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> SetComp
         lowest_p=design.lowest_p,
         compared=dict(Counter(map(family_of, columns))),
         differences=tuple(found),
-        values=values,
         notes=tuple(_notes(first, second)),
     )
 

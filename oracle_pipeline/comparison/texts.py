@@ -19,7 +19,7 @@ EXIT_CODES: dict[ComparisonOutcome, int] = {"same": 0, "different": 1, "unsuppor
 SHOWN = 20  # differences in a text; JSON has all
 _NEXT: dict[ComparisonOutcome, str] = {
     "same": "Next: nothing to look at. More recordings would show smaller differences.",
-    "different": "Next: --picture FILE.png draws these features; oracle replay shows a recording.",
+    "different": "Next: oracle replay shows a recording.",
     "unsupported": "Next: record more, and compare again.",
 }
 
@@ -31,7 +31,7 @@ def as_json(comparison: SetComparison) -> str:
     document = {
         field.name: getattr(comparison, field.name)
         for field in dataclasses.fields(comparison)
-        if field.name not in ("values", "differences")
+        if field.name != "differences"
     }
     document["differences"] = [dataclasses.asdict(each) for each in comparison.differences]
     return json.dumps(document, indent=2, allow_nan=False)

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 
 from sklearn.ensemble import IsolationForest
 from sklearn.pipeline import Pipeline
-from sklearn.svm import OneClassSVM
 
 from oracle_pipeline.clustering.scaling import FlooredRobustScaler
 from oracle_pipeline.detectors.base import Detector, DetectorError
@@ -21,7 +20,6 @@ from oracle_pipeline.detectors.distances import (
     NearestRuns,
     PrincipalComponents,
 )
-from oracle_pipeline.detectors.guarded import AmpleEllipticEnvelope, DistinctLocalOutlierFactor
 
 DEFAULT_DETECTOR = "mahalanobis"  # docs/explanation/detectors.md gives the reasons
 PLUGINS = "oracle_pipeline.detectors"  # group of entry points
@@ -34,10 +32,7 @@ def panel(seed: int) -> dict[str, Detector]:
         "mahalanobis": Mahalanobis(),
         "max_z": LargestZ(),
         "knn": NearestRuns(n_neighbors=5),
-        "ocsvm": OneClassSVM(nu=0.05),
         "isolation_forest": IsolationForest(n_estimators=300, random_state=seed),
-        "elliptic_envelope": AmpleEllipticEnvelope(random_state=seed),
-        "lof": DistinctLocalOutlierFactor(n_neighbors=10, novelty=True),
         "pca": PrincipalComponents(),
         "z_3": LargestZ(3),
         "z_10": LargestZ(10),

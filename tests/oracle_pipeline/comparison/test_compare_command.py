@@ -28,14 +28,13 @@ def compare(*arguments: object) -> Result:
 
 
 @pytest.mark.slow(18)
-def test_attacked_runs_differ_from_normal_ones_and_the_files_have_the_differences(
+def test_attacked_runs_differ_from_normal_ones_and_the_file_has_the_differences(
     sets: dict[str, Path], tmp_path: Path
 ) -> None:
-    junit, picture = tmp_path / "compare.xml", tmp_path / "compare.png"
+    junit = tmp_path / "compare.xml"
     result = compare(
-        sets["lidar_passthrough"], sets["random_noise"], "--format", "json", "--junit", junit,
-        "--picture", picture,
-    )  # fmt: skip
+        sets["lidar_passthrough"], sets["random_noise"], "--format", "json", "--junit", junit
+    )
     assert result.exit_code == 1, result.output
     document = json.loads(result.stdout)
     assert document["outcome"] == "different"
@@ -46,7 +45,6 @@ def test_attacked_runs_differ_from_normal_ones_and_the_files_have_the_difference
     failed = {case.get("name") for case in suite if case.find("failure") is not None}
     assert failed == families
     assert int(suite.attrib["failures"]) == len(failed) < int(suite.attrib["tests"])
-    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.slow

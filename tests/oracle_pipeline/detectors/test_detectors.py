@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from oracle_pipeline.detectors import DetectorError
 from oracle_pipeline.detectors.clusters import HacHeight
 from oracle_pipeline.detectors.distances import LargestZ, Mahalanobis, NearestRuns
-from oracle_pipeline.detectors.guarded import AmpleEllipticEnvelope, DistinctLocalOutlierFactor
 
 LINE = np.array([[0.0], [1.0], [2.0], [3.0]])
 
@@ -49,26 +48,11 @@ def test_hac_height_is_where_the_run_joins_half_of_the_normal_ones():
     assert HacHeight().fit(LINE).score_samples([[9.0]]) == pytest.approx([-7.5])
 
 
-def test_copies_of_a_run_do_not_distort_the_local_outlier_factor():
-    X = normal_runs(n=40)
-    with_copies = np.repeat(X, 30, axis=0)
-    rows = np.vstack([X[:3] + 0.05, [[8.0, 8.0, 8.0]]])
-    once, copied = (
-        DistinctLocalOutlierFactor(n_neighbors=10, novelty=True).fit(each).score_samples(rows)
-        for each in (np.unique(X, axis=0), with_copies)
-    )
-    assert np.array_equal(once, copied)
-    assert copied[3] < 2 * copied[:3].min()
-
-
 @pytest.mark.parametrize(
     ("detector", "rows", "text"),
     [
         (NearestRuns(n_neighbors=5), normal_runs(n=4), "4 runs are too few for 5 neighbours"),
         (LargestZ(), normal_runs(n=1), "at least two"),
-        (DistinctLocalOutlierFactor(novelty=True), np.repeat(normal_runs(n=20), 9, axis=0),
-         "more than 20 distinct runs, there are 20"),
-        (AmpleEllipticEnvelope(), normal_runs(n=15), "more than 15 runs, there are 15"),
     ],
 )  # fmt: skip
 def test_too_few_runs_are_an_error_with_the_number_needed(detector, rows, text):

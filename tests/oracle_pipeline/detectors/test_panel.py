@@ -19,11 +19,10 @@ from oracle_pipeline.detectors.panel import PLUGINS
 pytestmark = pytest.mark.slow
 
 MEMBERS = (
-    "hac_height", "mahalanobis", "max_z", "knn", "ocsvm", "isolation_forest", "elliptic_envelope",
-    "lof", "pca", "z_3", "z_10",
+    "hac_height", "mahalanobis", "max_z", "knn", "isolation_forest", "pca", "z_3", "z_10",
 )  # fmt: skip
-# No split and no pseudo-inverse sees what never varied in training (docs/explanation/detectors.md).
-BLIND_TO_CONSTANTS = {"isolation_forest", "elliptic_envelope"}
+# No split sees what never varied in training (docs/explanation/detectors.md).
+BLIND_TO_CONSTANTS = {"isolation_forest"}
 PLUGGED = "boundary"  # scikit-learn's own class, named by an entry point
 every_member = pytest.mark.parametrize("name", [*MEMBERS, PLUGGED])
 
