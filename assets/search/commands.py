@@ -98,10 +98,11 @@ def search(
 ) -> None:
     """Search for attacks that the oracle misses.
 
-    It looks for the largest effect on the robot's task at the smallest score. TEMPLATE is the name of a built-in scenario or mode, or FILE, or FILE#NAME; its parameters are
-    varied. Without it, each trial chooses one of the given topics, an operator, its strength, its
-    onset and its duration. Each trial is run in closed loop, compared with the same run without the
-    attack, and scored. Later trials learn from both results.
+    It looks for the largest effect on the robot's task at the smallest score. TEMPLATE is the name
+    of a built-in scenario or mode, or FILE, or FILE#NAME; its parameters are varied. Without it,
+    each trial chooses one of the given topics, an operator, its strength, its onset and its
+    duration. Each trial is run in closed loop, compared with the same run without the attack, and
+    scored. Later trials learn from both results.
 
     An effect of 1 is a change that matters: 15 % of path or time, 5 cm of clearance, a goal, a
     recovery, or 5 % of the commands. The search writes findings.json, front.png, and in misses/ a
