@@ -44,11 +44,13 @@ def test_an_aggregate_has_its_path_and_inputs(campaign: Laboratory, asset: str) 
     assert len((materialization.tags or {})["dagster/data_version"]) == 64
 
 
-def test_the_report_is_one_file_with_pictures_of_a_pair(campaign: Laboratory) -> None:
+def test_the_report_links_a_page_with_a_picture_for_each_run(campaign: Laboratory) -> None:
     page = campaign.store.report.read_text(encoding="utf-8")
-    for asset in ("random_noise|run000", "lidar_passthrough|run000"):
-        assert asset in page
+    assert 'href="runs/index.html"' in page
     assert 'src="http' not in page
+    for key in KEYS:
+        of_run = campaign.store.run_pages / f"{key.replace('|', '/')}.html"
+        assert 'src="data:image/png' in of_run.read_text(encoding="utf-8")
     assert campaign.figures("oracle_report")["url"] == "/oracle/report/"  # of the UI's own server
 
 
