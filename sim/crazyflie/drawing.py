@@ -57,9 +57,9 @@ def _draw_session(seed: int, index: int) -> CrazyflieSession:
     rng = generator(seed, SESSION, index)
     speed, towards = rng.uniform(0.0, 0.5), rng.uniform(0.0, 2.0 * math.pi)
     craft = Craft(
-        mass=rng.uniform(1.05, 1.2),
-        centre=tuple(rng.uniform(-1.5e-3, 1.5e-3, 2).tolist()),
-        thrust=tuple(rng.uniform(0.96, 1.04, 4).tolist()),
+        mass=rng.uniform(1.12, 1.18),
+        centre=tuple(rng.uniform(-5e-4, 5e-4, 2).tolist()),
+        thrust=tuple(rng.uniform(0.985, 1.015, 4).tolist()),
         imbalance=tuple(rng.uniform(0.0, 4e-9, 4).tolist()),
         charge=rng.uniform(0.6, 1.0),
         resistance=rng.uniform(0.08, 0.13),
