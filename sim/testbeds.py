@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points, version
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.sources import dependencies
@@ -30,21 +30,6 @@ _NAME = re.compile("[a-z][a-z0-9_]*")
 
 class TestbedError(OracleError):
     """A testbed does not exist, or cannot be loaded."""
-
-
-class Source(Protocol):
-    """Where a testbed is: an entry point or a file."""
-
-    @property
-    def name(self) -> str:
-        """Of the testbed."""
-
-    @property
-    def value(self) -> str:
-        """The place, for errors."""
-
-    def load(self) -> Any:
-        """Return the testbed, or raise any error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +53,9 @@ class TestbedFile:
         return read_testbed(self.file)
 
 
-def load_testbeds(points: Iterable[Source]) -> tuple[dict[str, Testbed], tuple[str, ...]]:
+def load_testbeds(
+    points: Iterable[EntryPoint | TestbedFile],
+) -> tuple[dict[str, Testbed], tuple[str, ...]]:
     """Return the testbeds of some places by name, and the errors of those that are left out."""
     testbeds: dict[str, Testbed] = {}
     broken = []
@@ -85,7 +72,7 @@ def load_testbeds(points: Iterable[Source]) -> tuple[dict[str, Testbed], tuple[s
     return testbeds, tuple(broken)
 
 
-def _loaded(point: Source) -> Testbed:
+def _loaded(point: EntryPoint | TestbedFile) -> Testbed:
     """Return the testbed of an entry point."""
     testbed = point.load()
     if not isinstance(testbed, Testbed):
