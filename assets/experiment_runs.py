@@ -297,11 +297,7 @@ def _reproducible(
 
 
 def _job(
-    run: RunDirectory,
-    specs: Sequence[dg.AssetSpec],
-    campaign: CampaignSettings,
-    *,
-    refresh: bool,
+    run: RunDirectory, specs: Sequence[dg.AssetSpec], campaign: CampaignSettings, *, refresh: bool
 ) -> "RunJob":
     from assets.worker.run_job import RunJob
 

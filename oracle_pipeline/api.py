@@ -137,11 +137,7 @@ def score(
 
 
 def compare(
-    first: str | Path,
-    second: str | Path,
-    *,
-    level: float = 0.05,
-    plugins: str | Path | None = None,
+    first: str | Path, second: str | Path, *, level: float = 0.05, plugins: str | Path | None = None
 ) -> SetComparison:
     """Compare two folders of recordings, such as those of two builds.
 

@@ -73,10 +73,7 @@ class DistinctRuns:
 
     @classmethod
     def once(
-        cls,
-        members: NDArray[np.bool_],
-        malicious: NDArray[np.bool_],
-        block: NDArray[np.int64],
+        cls, members: NDArray[np.bool_], malicious: NDArray[np.bool_], block: NDArray[np.int64]
     ) -> "DistinctRuns":
         """Return the members among rows that are distinct already; arrays of shape (n_rows,)."""
         first = np.flatnonzero(members)

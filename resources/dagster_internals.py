@@ -54,7 +54,5 @@ def output_without_event(output_name: str) -> dg.Output[None]:
     would make Dagster skip the downstream steps.
     """
     return dg.Output(
-        None,
-        output_name=output_name,
-        metadata={SYSTEM_METADATA_KEY_SOURCE_ASSET_OBSERVATION: True},
+        None, output_name=output_name, metadata={SYSTEM_METADATA_KEY_SOURCE_ASSET_OBSERVATION: True}
     )

@@ -43,10 +43,7 @@ class Job:
 
 
 def recipe_for(
-    mode: str | Mode,
-    run: int,
-    campaign: Campaign,
-    parameters: Mapping[str, Any] | None = None,
+    mode: str | Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any] | None = None
 ) -> Recipe:
     """Return the recipe of one run of a campaign, on the testbed that its mode is for.
 

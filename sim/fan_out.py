@@ -35,9 +35,7 @@ def process_pool(workers: int) -> WorkerPool:
 
 
 def fan_out(
-    function: Callable[[J], R],
-    jobs: Sequence[J],
-    make_executor: Callable[[], Executor],
+    function: Callable[[J], R], jobs: Sequence[J], make_executor: Callable[[], Executor]
 ) -> Iterator[JobOutcome[J, R]]:
     """Yield the outcome of every job, as they finish.
 
@@ -60,9 +58,7 @@ def fan_out(
 
 
 def _together(
-    function: Callable[[J], R],
-    jobs: Sequence[J],
-    make_executor: Callable[[], Executor],
+    function: Callable[[J], R], jobs: Sequence[J], make_executor: Callable[[], Executor]
 ) -> Generator[JobOutcome[J, R], None, list[J]]:
     """Yield the outcomes of jobs in one executor; return those whose worker died."""
     unfinished: list[int] = []

@@ -57,10 +57,7 @@ def _messages_of(package: str, folder: str, file: Path) -> Iterator[tuple[str, s
         yield from zip((goal, result, feedback), parts, strict=True)
         yield f"{name}_FeedbackMessage", f"{uuid}{feedback} feedback\n"
         yield f"{name}_SendGoal_Request", f"{uuid}{goal} goal\n"
-        yield (
-            f"{name}_SendGoal_Response",
-            "bool accepted\nbuiltin_interfaces/msg/Time stamp\n",
-        )
+        yield (f"{name}_SendGoal_Response", "bool accepted\nbuiltin_interfaces/msg/Time stamp\n")
         yield f"{name}_GetResult_Request", uuid
         yield f"{name}_GetResult_Response", f"int8 status\n{result} result\n"
 

@@ -15,9 +15,7 @@ from pathlib import Path
 
 @contextlib.contextmanager
 def scratch_beside(
-    place: Path,
-    make: Callable[[Path], object],
-    salvage: Callable[[Path], object] = lambda _: None,
+    place: Path, make: Callable[[Path], object], salvage: Callable[[Path], object] = lambda _: None
 ) -> Iterator[Path]:
     """Make a scratch path beside a place and hold it; it is removed after the block unless renamed.
 

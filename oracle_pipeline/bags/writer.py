@@ -122,11 +122,7 @@ class BagWriter:
         return self._hash.hexdigest()
 
     def add_topic(
-        self,
-        name: str,
-        msgtype: str,
-        qos: Sequence[Qos],
-        definition: TypeDefinition | None = None,
+        self, name: str, msgtype: str, qos: Sequence[Qos], definition: TypeDefinition | None = None
     ) -> None:
         """Announce a topic, or one more publisher of it.
 

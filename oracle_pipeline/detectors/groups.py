@@ -142,9 +142,7 @@ class LargestGroup(OwnDetector):
         return [np.flatnonzero(groups == name) for name in np.unique(groups)]
 
 
-def _shrunk(
-    centred: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _shrunk(centred: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Return directions, the variances in them, and the variance in all others."""
     count, columns = centred.shape
     weight = float(ledoit_wolf_shrinkage(centred, assume_centered=True))

@@ -95,10 +95,7 @@ def in_best_cluster(
 
 
 def grow_over_rows(
-    rows: pd.DataFrame,
-    columns: Sequence[str],
-    method: Linkage,
-    variant: MethodVariant = CORRECTED,
+    rows: pd.DataFrame, columns: Sequence[str], method: Linkage, variant: MethodVariant = CORRECTED
 ) -> Tree:
     """Agglomerate rows by the columns and the matrix of a variant.
 

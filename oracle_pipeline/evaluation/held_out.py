@@ -31,10 +31,7 @@ class HeldOutScores:
 
 
 def held_out(
-    runs: MeasuredRuns,
-    columns: Sequence[str],
-    detector: Detector,
-    folds: Sequence[Fold],
+    runs: MeasuredRuns, columns: Sequence[str], detector: Detector, folds: Sequence[Fold]
 ) -> HeldOutScores:
     """Score every run by its features, by a detector fitted on normal runs of other blocks.
 

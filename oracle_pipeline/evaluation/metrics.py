@@ -100,10 +100,7 @@ def false_positive_rate(flagged: NDArray[np.bool_], runs: DistinctRuns) -> Estim
 
 
 def share(
-    hit: NDArray[np.bool_],
-    block: NDArray[np.int64],
-    rng: np.random.Generator,
-    level: float = LEVEL,
+    hit: NDArray[np.bool_], block: NDArray[np.int64], rng: np.random.Generator, level: float = LEVEL
 ) -> Estimate:
     """Return the share of runs that are hit, for example the share of attacks detected.
 

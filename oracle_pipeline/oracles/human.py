@@ -147,10 +147,7 @@ class Human:
     asks = "answers"
 
     def __init__(
-        self,
-        answers: Mapping[str, bool],
-        runs: TracedRuns,
-        kinds: Sequence[OracleKind],
+        self, answers: Mapping[str, bool], runs: TracedRuns, kinds: Sequence[OracleKind]
     ) -> None:
         self._answers = dict(answers)
         self._answered = runs.where(runs.table["run_id"].isin(self._answers).to_numpy())

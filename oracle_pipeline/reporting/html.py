@@ -59,12 +59,7 @@ def render(
     searched : Searched, optional
         Results of searches for attacks.
     """
-    thesis = {
-        "grid": grid,
-        "rates": rates,
-        "pairs": pairs,
-        "side_by_side": side_by_side,
-    }
+    thesis = {"grid": grid, "rates": rates, "pairs": pairs, "side_by_side": side_by_side}
     return template("report.html.j2").render(
         screen=first_screen(evaluation, record),
         arrived=arrived,

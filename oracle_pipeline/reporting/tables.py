@@ -57,10 +57,7 @@ class PageTable(NamedTuple):
 
 
 def table(
-    name: str,
-    df: pd.DataFrame,
-    more: Iterable[PageColumn] = (),
-    links: Sequence[str] = (),
+    name: str, df: pd.DataFrame, more: Iterable[PageColumn] = (), links: Sequence[str] = ()
 ) -> PageTable:
     """Return the declared table of that name, with those of its columns that have any value.
 

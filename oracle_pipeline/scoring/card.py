@@ -239,9 +239,7 @@ def _card(
     )
 
 
-def _read(
-    path: Path,
-) -> tuple[dict[str, Any], pd.DataFrame, _OfScorers, _OfScorers]:
+def _read(path: Path) -> tuple[dict[str, Any], pd.DataFrame, _OfScorers, _OfScorers]:
     with path.open("rb") as source:
         digest = hashlib.file_digest(source, "sha256").hexdigest()
     with path.open("rb") as source, zipfile.ZipFile(source) as archive:

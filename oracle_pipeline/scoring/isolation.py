@@ -162,11 +162,7 @@ def interfaces(observer: Observer, run: OpenedRun, robot: Robot, length_s: float
 
 
 def _tables(
-    run: OpenedRun,
-    robot: Robot,
-    manager: FeatureManager,
-    observer: Observer,
-    check: Check | None,
+    run: OpenedRun, robot: Robot, manager: FeatureManager, observer: Observer, check: Check | None
 ) -> tuple[FeatureTables, float, Sequence[str]]:
     """Return the features of one robot, the length of its recording [s], and its faults.
 

@@ -346,11 +346,7 @@ def _compared(recording: Recording, card: ReferenceCard) -> tuple[Verdict, Featu
         share, differences = likeness(card.contract, seen, card.runs.columns, tables.run.columns)
         if share < LEAST:
             unlike = Verdict(
-                name,
-                "another system",
-                cautions=cautions,
-                in_common=share,
-                differences=differences,
+                name, "another system", cautions=cautions, in_common=share, differences=differences
             )
             return unlike, tables
         if any(t.always and name not in seen.topics for name, t in card.contract.topics.items()):

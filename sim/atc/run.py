@@ -52,18 +52,12 @@ class AtcRun(TimedRun):
     def _add_sensors(self) -> None:
         recipe, domain, air = self._recipe, self.domain, self._air
         session = recipe.session
-        bias = {
-            "range_bias_m": session.range_bias_m,
-            "azimuth_bias_deg": session.azimuth_bias_deg,
-        }
+        bias = {"range_bias_m": session.range_bias_m, "azimuth_bias_deg": session.azimuth_bias_deg}
         who = [Transponder(f.icao24, f.callsign, f.squawk) for f in recipe.flights]
         AirspaceClock(domain)
         AdsbReceiver(domain, who, air.state, recipe.generator("/adsb_receiver"))
         PrimaryRadar(
-            domain,
-            air.in_the_air,
-            replace(PRIMARY, **bias),
-            recipe.generator("/primary_radar"),
+            domain, air.in_the_air, replace(PRIMARY, **bias), recipe.generator("/primary_radar")
         )
         SecondaryRadar(
             domain,

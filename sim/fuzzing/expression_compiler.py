@@ -117,10 +117,7 @@ class ExpressionCompiler(ast.NodeVisitor):
         self.used.add(name)
         vector = self._vectors.get(name, False)
         return self._load(
-            self._names[name],
-            vector,
-            self._elements if vector else 1,
-            operator.itemgetter(name),
+            self._names[name], vector, self._elements if vector else 1, operator.itemgetter(name)
         )
 
     def visit_Attribute(self, node: ast.Attribute) -> _Node:

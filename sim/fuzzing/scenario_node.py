@@ -246,8 +246,7 @@ def _check_topics(domain: Domain, program: Program) -> None:
     for key, lane in zip(keys, program.lanes, strict=True):
         if program.is_in_place and not any(domain.publishers(lane.input_topic)):
             raise program.scenario.error(
-                (*key, "output"),
-                f"expected a topic with a publisher, found {lane.input_topic}",
+                (*key, "output"), f"expected a topic with a publisher, found {lane.input_topic}"
             )
         readers = sorted({each.node for each in domain.subscriptions(lane.input_topic)})
         for number, node in enumerate(lane.to):

@@ -11,8 +11,7 @@ from sim.middleware.stamps import time_message
 
 EVENT = "rcl_interfaces/msg/ParameterEvent"
 _Event, _Parameter, _Value = map(
-    message_class,
-    (EVENT, "rcl_interfaces/msg/Parameter", "rcl_interfaces/msg/ParameterValue"),
+    message_class, (EVENT, "rcl_interfaces/msg/Parameter", "rcl_interfaces/msg/ParameterValue")
 )
 _INTEGER, _DOUBLE = 2, 3  # rcl_interfaces/msg/ParameterType
 

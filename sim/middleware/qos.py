@@ -16,11 +16,7 @@ _INFINITE = QosTime(9223372036, 854775807)  # what rmw writes for "no limit"
 
 
 def profile(
-    depth: int,
-    *,
-    reliable: bool = True,
-    latched: bool = False,
-    lifespan: QosTime = _INFINITE,
+    depth: int, *, reliable: bool = True, latched: bool = False, lifespan: QosTime = _INFINITE
 ) -> Qos:
     """Return a keep-last profile; ``latched`` is durability transient local."""
     return Qos(

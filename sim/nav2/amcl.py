@@ -157,12 +157,7 @@ class Amcl(LifecycleNode):
     # -- output ----------------------------------------------------------------------------
 
     def _update(
-        self,
-        field: LikelihoodField,
-        belief: ParticleFilter,
-        scan: Any,
-        odom: Pose2D,
-        laser: Pose2D,
+        self, field: LikelihoodField, belief: ParticleFilter, scan: Any, odom: Pose2D, laser: Pose2D
     ) -> None:
         """Weigh and resample the particles by a scan; publish cloud and pose."""
         range_max = min(scan.range_max, LASER_MAX_RANGE)

@@ -34,11 +34,7 @@ class ServiceNode(TreeNode):
     """
 
     def __init__(
-        self,
-        name: str,
-        client: Client,
-        on_start: Callable[[], None],
-        wake: Callable[[], None],
+        self, name: str, client: Client, on_start: Callable[[], None], wake: Callable[[], None]
     ) -> None:
         super().__init__(name)
         self._client = client

@@ -138,10 +138,7 @@ class BtNavigator(LifecycleNode):
             self._on_cancel,
         )
         ActionServer(
-            self,
-            "nav2_msgs/action/NavigateThroughPoses",
-            "/navigate_through_poses",
-            not_served,
+            self, "nav2_msgs/action/NavigateThroughPoses", "/navigate_through_poses", not_served
         )
         self._client = ActionClient(self, "nav2_msgs/action/NavigateToPose", "/navigate_to_pose")
         self._node = _RclcppNode(

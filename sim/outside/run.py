@@ -75,10 +75,7 @@ class OutsideRun(TestbedRun):
             number = stack.enter_context(_a_free_domain(self._system.get("domains", DOMAINS)))
             known = {"domain": number, "run": recipe.run, "block": recipe.block}
             self._system = filled(self._system, {**recipe.values, **known, "mode": recipe.mode})
-            self._variables = {
-                **self._system.get("environment", {}),
-                DOMAIN_VARIABLE: str(number),
-            }
+            self._variables = {**self._system.get("environment", {}), DOMAIN_VARIABLE: str(number)}
             self._logs = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             execution = execute(self._program, recipe.attack_seed(), recipe.parameters)
             self._live = LiveNode(number, execution)

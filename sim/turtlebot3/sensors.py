@@ -271,8 +271,7 @@ class RangePlugin(Node):
             measured = -math.inf
         now_ns = self.now_ns
         self._publisher.publish(
-            _range_message(now_ns, measured),
-            self._template.data(*divmod(now_ns, SECOND), measured),
+            _range_message(now_ns, measured), self._template.data(*divmod(now_ns, SECOND), measured)
         )
 
 

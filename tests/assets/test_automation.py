@@ -34,9 +34,7 @@ def test_the_job_takes_every_asset_and_check_but_those_of_arrived_recordings() -
 
 
 @pytest.mark.slow
-def test_as_many_nights_as_runs_re_simulate_every_run_once(
-    empty: Laboratory,
-) -> None:
+def test_as_many_nights_as_runs_re_simulate_every_run_once(empty: Laboratory) -> None:
     nightly = defs.resolve_schedule_def("nightly")
     first, *_, last = modes()
     ranges = set()

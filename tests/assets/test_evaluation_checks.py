@@ -12,10 +12,7 @@ from resources.store import RunStore
 
 pytestmark = pytest.mark.slow
 
-STATUS = {
-    "graphs_of_pairs_are_equal": "red",
-    "hard_negatives_pass": "unsupported",
-}
+STATUS = {"graphs_of_pairs_are_equal": "red", "hard_negatives_pass": "unsupported"}
 
 
 def shown(root: Path) -> dg.ExecuteInProcessResult:

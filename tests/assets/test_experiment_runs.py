@@ -88,9 +88,7 @@ def test_complete_runs_are_only_verified(copy_of_campaign: Laboratory) -> None:
             assert copy_of_campaign.figures(asset, key)["status"] == "verified"
 
 
-def test_features_alone_are_extracted_from_the_existing_run(
-    copy_of_campaign: Laboratory,
-) -> None:
+def test_features_alone_are_extracted_from_the_existing_run(copy_of_campaign: Laboratory) -> None:
     copy_of_campaign.store.run(KEY).feature_table("run").unlink()
     before = copy_of_campaign.files()
     # Other goals would be another recipe; features use the existing run of any recipe.

@@ -66,9 +66,7 @@ def test_the_range_of_make_run_is_the_six_modes_and_nothing_else() -> None:
 
 
 @pytest.mark.slow
-def test_scenario_files_are_partitions_and_an_invalid_one_is_only_logged(
-    tmp_path: Path,
-) -> None:
+def test_scenario_files_are_partitions_and_an_invalid_one_is_only_logged(tmp_path: Path) -> None:
     scenario = (
         "schema: mutant/v1\nid: {}\nlabel: malicious\n"
         "main: {{type: sensor_msgs/msg/LaserScan, input: /scan_tom, output: /scan_fakeobject}}\n"

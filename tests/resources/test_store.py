@@ -16,11 +16,7 @@ from resources.store import RunStore
 def test_places_are_those_that_users_and_tools_call(tmp_path: Path) -> None:
     store = RunStore(root=str(tmp_path))
     run = store.run("fake_object|run003")
-    places = [
-        run.path,
-        store.dataset("features"),
-        store.report,
-    ]
+    places = [run.path, store.dataset("features"), store.report]
     assert [str(place.relative_to(tmp_path)) for place in places] == [
         "runs/fake_object/run003",
         "datasets/features.parquet",

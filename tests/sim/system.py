@@ -60,11 +60,7 @@ class System:
 
         add_robot(self.domain, self.world, SensorErrors(), generator)
         self.nav2 = bring_up(
-            self.domain,
-            occupancy_map(HEXAGON),
-            generator=generator,
-            latency_ns=LATENCY_NS,
-            run=run,
+            self.domain, occupancy_map(HEXAGON), generator=generator, latency_ns=LATENCY_NS, run=run
         )
         self.nav2.navigator.set_initial_pose(WORLD_IN_MAP.compose(START))
 

@@ -73,10 +73,7 @@ def test_every_attack_has_a_shadow_that_differs_in_what_it_publishes_only(name):
 def test_every_mode_compiles_and_stands_between_the_topics_of_its_testbed(name):
     scenario = modes()[name].scenario
     program = compile_scenario(scenario)
-    ends = {
-        "turtlebot3": ("/scan_tom", "/scan_fakeobject"),
-        "atc": ("/adsb", "/adsb_fuzzed"),
-    }
+    ends = {"turtlebot3": ("/scan_tom", "/scan_fakeobject"), "atc": ("/adsb", "/adsb_fuzzed")}
     assert (program.input_topic, program.output_topic) == ends[which_testbed(scenario)]
 
 

@@ -79,14 +79,7 @@ def main() -> None:
     arguments = parser.parse_args()
     if unknown := [name for name in arguments.sets if name not in SETS]:
         parser.error(f"there is no set {unknown[0]}; known are {', '.join(SETS)}")
-    heads = [
-        "set",
-        "robot",
-        "normal / abnormal",
-        "signals",
-        "oracle",
-        "false positives",
-    ]
+    heads = ["set", "robot", "normal / abnormal", "signals", "oracle", "false positives"]
     print(f"| {' | '.join([*heads, *BASELINES, 'dose', 'leaks'])} |")
     print("| --- " * (len(heads) + len(BASELINES) + 2) + "|")
     for name in arguments.sets or SETS:

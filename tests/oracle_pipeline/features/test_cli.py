@@ -90,14 +90,7 @@ def test_parquet_goes_to_a_file(table, make_run, tmp_path):
 
 
 def test_features_of_a_bag_need_no_library_that_takes_long_to_import(foreign_bag):
-    heavy = {
-        "pandas",
-        "pyarrow",
-        "networkx",
-        "scipy.ndimage",
-        "scipy.sparse",
-        "tqdm",
-    }
+    heavy = {"pandas", "pyarrow", "networkx", "scipy.ndimage", "scipy.sparse", "tqdm"}
     code = f"""
 import sys
 from oracle_pipeline.cli import main

@@ -33,10 +33,7 @@ def test_nodes_and_their_endpoints_are_found(domain, discovery, eventually, rele
     robot = Robot(domain, release=release)
     robot.node("talker", publishes=["/words"], qos=LATCHED).announce()
     robot.node("listener", subscribes=["/words"], qos=LATCHED).announce()
-    expected = {
-        edge("node:/talker", "topic:/words"),
-        edge("topic:/words", "node:/listener"),
-    }
+    expected = {edge("node:/talker", "topic:/words"), edge("topic:/words", "node:/listener")}
     eventually(lambda: edges(discovery) == expected)
     (publisher,) = discovery.topics()["/words"]
     assert (publisher.msgtype, publisher.qos) == (STRING, LATCHED)

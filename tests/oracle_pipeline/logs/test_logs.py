@@ -85,10 +85,7 @@ def test_episodes_of_a_data_set_are_its_recordings(tmp_path):
     assert [path.name for path in recordings_below(dataset)] == ["episode_000000", "episode_000001"]
 
 
-@given(
-    st.lists(st.floats(-1e9, 1e9), min_size=2, max_size=20),
-    st.integers(1, 3),
-)
+@given(st.lists(st.floats(-1e9, 1e9), min_size=2, max_size=20), st.integers(1, 3))
 def test_every_number_of_a_table_is_in_its_bag(tmp_path_factory, numbers, columns):
     folder = tmp_path_factory.mktemp("table")
     frame = pd.DataFrame({f"c{n}": np.array(numbers) * (n + 1) for n in range(columns)})
