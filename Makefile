@@ -138,7 +138,7 @@ wheel: setup ## Build a wheel into dist/, and try the commands of the README wit
 	tools/scripts/try_commands.sh dist/tried/bin
 
 install-check: ## Install into fresh environments of the Python versions that are here, and try them
-	tools/scripts/install_check.sh $(or $(VERSIONS),3.11 3.12 3.13)
+	tools/scripts/install_check.sh $(or $(VERSIONS),3.11 3.12 3.13 3.14)
 
 constraints: $(VENV)/.ready-dev ## Pin the newest versions that fit pyproject.toml
 	$(PIN) --upgrade --all-extras --output-file constraints.txt pyproject.toml
