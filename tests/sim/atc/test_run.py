@@ -226,7 +226,7 @@ def test_a_scenario_that_waits_for_a_goal_is_refused(tmp_path):
     scenario = modes()["atc_normal"].scenario
     activation = {"onset": {"after": "goal_accepted"}}
     mode = Mode(replace(scenario, document={**scenario.document, "activation": activation}))
-    with pytest.raises(ScenarioError, match="air traffic has none"):
+    with pytest.raises(ScenarioError, match="this testbed has none"):
         AtcRun(recipe_for(mode, 0, CAMPAIGN), tmp_path)
 
 
