@@ -1,14 +1,12 @@
 """A DDS domain for each test that needs one, on the loopback interface only."""
 
-import contextlib
-import fcntl
 import os
 import random
-import tempfile
 import time
-from pathlib import Path
 
 import pytest
+
+from sim.outside import domains
 
 LOOPBACK = """
 <CycloneDDS><Domain>
@@ -32,18 +30,9 @@ os.environ["CYCLONEDDS_URI"] = LOOPBACK  # before any domain is joined in this p
 NUMBERS = range(1, 102)
 
 
-@contextlib.contextmanager
 def a_free_domain():
-    """Yield the number of a domain that no other test process has now."""
-    for number in random.SystemRandom().sample(NUMBERS, len(NUMBERS)):
-        path = Path(tempfile.gettempdir(), f"dds-domain-{number}.lock")
-        with path.open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                continue
-            yield number
-            return
+    """Return a context with the number of a domain that no other process has now."""
+    return domains.a_free_domain(random.SystemRandom().sample(NUMBERS, len(NUMBERS)))
 
 
 @pytest.fixture

@@ -4,13 +4,12 @@ This module uses the wall clock, because its systems do. No two runs are alike.
 """
 
 import contextlib
-import fcntl
 import json
 import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from oracle_pipeline.bags.types import serialize
 from sim.fuzzing.execution import execute
 from sim.fuzzing.value_types import message_type, zero
 from sim.middleware.executor import SECOND
+from sim.outside.domains import a_free_domain
 from sim.outside.live_node import LiveNode
 from sim.outside.processes import Program, StepError
 from sim.outside.testbed import OutsideRecipe, filled
@@ -72,7 +72,7 @@ class OutsideRun(TestbedRun):
         """Start the system, record its task, and stop it, whatever happens."""
         recipe = self._recipe
         with contextlib.ExitStack() as stack:
-            number = stack.enter_context(_a_free_domain(self._system.get("domains", DOMAINS)))
+            number = stack.enter_context(a_free_domain(self._system.get("domains", DOMAINS)))
             known = {"domain": number, "run": recipe.run, "block": recipe.block}
             self._system = filled(self._system, {**recipe.values, **known, "mode": recipe.mode})
             self._variables = {**self._system.get("environment", {}), DOMAIN_VARIABLE: str(number)}
@@ -266,21 +266,6 @@ class OutsideRun(TestbedRun):
         """Return how long ago a message was recorded."""
         bag = (self._folder / _RECORDED).glob(f"*/{BAG_FOLDER}/*")
         return time.time() - max(file.stat().st_mtime for file in bag)
-
-
-@contextlib.contextmanager
-def _a_free_domain(numbers: Sequence[int]) -> Iterator[int]:
-    """Yield a DDS domain that no other run has now; wait until there is one."""
-    while True:
-        for number in numbers:
-            with Path(tempfile.gettempdir(), f"oracle-domain-{number}.lock").open("w") as lock:
-                try:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    continue
-                yield number
-                return
-        time.sleep(_POLL_S)
 
 
 def _message(msgtype: str, values: Mapping[str, Any]) -> bytes:
