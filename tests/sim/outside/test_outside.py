@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,29 +22,25 @@ from sim.outside.testbed import read_testbed
 from sim.scenarios import scenarios_in
 from sim.testbed import Mode
 from sim.testbeds import TESTBEDS
-from tests.dds_domains import domain
+from tests.dds_domains import NUMBERS
 
-__all__ = ["domain"]
 pytestmark = pytest.mark.slow(20)
 TANK = Path(__file__).parents[3] / "examples" / "tank"
 
 
 @pytest.fixture
-def record(tmp_path, domain, monkeypatch):
+def record(tmp_path, monkeypatch):
     """Record a run of the tank, with changes of its file, on a domain that is free."""
 
     def recorded(mode, **changes):
         system = yaml.safe_load((TANK / "tank.yaml").read_text())
-        system |= {"domains": [domain], "scenarios": str(TANK / "scenarios"), **changes}
-        system["start"] = [
-            [
-                w.replace("tank.py", f"{TANK}/tank.py").replace(
-                    "controller.py", f"{TANK}/controller.py"
-                )
-                for w in words
-            ]
-            for words in system["start"]
-        ]
+        system |= {"domains": list(NUMBERS), "scenarios": str(TANK / "scenarios"), **changes}
+        places = {
+            "python3": sys.executable,
+            "tank.py": f"{TANK}/tank.py",
+            "controller.py": f"{TANK}/controller.py",
+        }
+        system["start"] = [[places.get(word, word) for word in words] for words in system["start"]]
         file = tmp_path / "tank.yaml"
         file.write_text(json.dumps(system))
         monkeypatch.setitem(TESTBEDS, "tank", read_testbed(file))
