@@ -1,6 +1,7 @@
 """A system of programs that know nothing of this project, started by the commands of a file."""
 
 import json
+import os
 import pickle
 import sys
 from dataclasses import replace
@@ -44,7 +45,7 @@ def record(tmp_path, monkeypatch):
         file = tmp_path / "tank.yaml"
         file.write_text(json.dumps(system))
         monkeypatch.setitem(TESTBEDS, "tank", read_testbed(file))
-        scenario = scenarios_in(TANK / "scenarios")[mode].on("tank")
+        scenario = scenarios_in(Path(system["scenarios"]))[mode].on("tank")
         recipe = recipe_for(Mode(scenario), 0, Campaign())
         directory = RunDirectory(tmp_path / "data", mode, 0)
         record_run(recipe, directory)
@@ -76,6 +77,92 @@ def test_a_relay_alters_what_a_live_system_gets_and_the_run_is_one_as_any_other(
     relay = "node:/oracle_relay"
     assert graph.has_edge("topic:/level", relay)
     assert graph.has_edge(relay, "topic:/level_relayed")
+
+
+def test_in_place_a_scenario_adds_altered_messages_and_the_originals_stay(record, tmp_path):
+    scenarios = tmp_path / "scenarios"
+    scenarios.mkdir()
+    (scenarios / "leak.yaml").write_text("""
+        schema: mutant/v1
+        id: tank_leak
+        title: After 3 s a second sensor reads 20 cm too little
+        label: malicious
+        main: {type: std_msgs/msg/Float64, input: /level, output: /level}
+        activation: {onset: {after: start, seconds: 3}}
+        transform:
+          actions:
+            - {name: offset, do: [{add: {field: data, by: -0.2}}]}
+    """)
+    run = record(
+        "tank_leak",
+        scenarios=str(scenarios),
+        experiments=["tank_leak"],
+        start=[["python3", "tank.py"]],
+        ready={"topics": ["/level"], "within_s": 60},
+        ends={"after_s": 6, "within_s": 60},
+    )
+    manifest = run.manifest()
+    values = numbers(run, "/level")
+    originals = {value for value in values if value + -0.2 in values}
+    assert values.index(min(values)) > 20, "it began before the onset"
+    assert 20 < len(originals) == sum(change.messages for change in manifest.changes)
+    assert read_gexf(run.graphs / "run.gexf").has_edge("node:/oracle_relay", "topic:/level")
+
+
+def test_a_task_is_a_message_and_the_run_ends_with_one_when_a_service_was_there(record):
+    tank_is_full = """
+from number import *
+levels, full = reader("level"), writer("full")
+request = DataReader(participant, Topic(participant, "rq/emptyRequest", Number))
+reply = DataWriter(participant, Topic(participant, "rr/emptyReply", Number))
+while True:
+    for sample in levels.take(10):
+        if sample.data > 2.0:
+            full.write(Number(sample.data))
+"""
+    number = "std_msgs/msg/Float64"
+    run = record(
+        "tank_normal",
+        start=[["python3", "tank.py"], ["python3", "-c", tank_is_full]],
+        environment={"PYTHONPATH": str(TANK)},
+        ready={"topics": ["/level"], "services": ["/empty"], "within_s": 60},
+        task={"topic": {"name": "/inflow", "type": number, "message": {"data": 4}}, "within_s": 5},
+        ends={"message": {"topic": "/full", "type": number}, "within_s": 60},
+    )
+    assert run.manifest().outcome == "succeeded"
+    assert set(numbers(run, "/inflow")) == {4.0}
+    assert max(numbers(run, "/level")) > 2.0
+
+
+def test_a_task_is_an_action_of_the_command_line_of_ros_2_and_may_fail(record, tmp_path):
+    told = tmp_path / "told"
+    ros2 = tmp_path / "ros2"
+    ros2.write_text(f'#!/bin/sh\nprintf "%s\\n" "$@" > {told}\nsleep 2\nexit 1\n')
+    ros2.chmod(0o755)
+    run = record(
+        "tank_normal",
+        environment={"PATH": f"{tmp_path}:{os.environ['PATH']}"},
+        vary={"litres": {"of": [7]}, "target": {"of": [1.0]}},
+        task={
+            "action": {
+                "name": "/fill",
+                "type": "tank_msgs/action/Fill",
+                "goal": {"to": "{litres}"},
+            },
+            "within_s": 30,
+        },
+        ends={"exit": "task", "within_s": 30},
+    )
+    assert run.manifest().outcome == "aborted"
+    expected = ["action", "send_goal", "/fill", "tank_msgs/action/Fill", '{"to": "7"}']
+    assert told.read_text().splitlines() == expected
+
+
+def numbers(run, topic):
+    """Return the numbers of a topic of a run."""
+    with BagReader(run.bag) as bag:
+        return [deserialize(m.data, "std_msgs/msg/Float64").data
+                for m in bag.messages() if m.topic == topic]  # fmt: skip
 
 
 @pytest.mark.parametrize(
