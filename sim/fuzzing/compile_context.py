@@ -114,6 +114,10 @@ class CompileContext:
         """Return the error of an expression, with its place in the file."""
         return self.scenario.error(key, str(error).removesuffix("."))
 
+    def condition(self, spec: Spec, key: Key) -> Term | None:
+        """Compile ``when``; None without one."""
+        return self.term(spec["when"], (*key, "when"), Boolean) if "when" in spec else None
+
     def let(
         self, spec: Spec, key: Key, *, elements: int = 1
     ) -> tuple["CompileContext", tuple[tuple[str, Term], ...]]:

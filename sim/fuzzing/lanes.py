@@ -11,11 +11,9 @@ from typing import Any
 from sim.fuzzing.compile_context import CompileContext, OperationNumbers
 from sim.fuzzing.fields import as_sent
 from sim.fuzzing.operators import compile_operators
-from sim.fuzzing.output_operators import Playback
 from sim.fuzzing.program import Action, Program
 from sim.fuzzing.scenario import Key
 from sim.fuzzing.topics import MAIN, type_of
-from sim.fuzzing.value_types import Boolean
 from sim.middleware.executor import SECOND
 
 WITHIN_S = (
@@ -116,13 +114,10 @@ def with_further_topics(
 
 def playback(parts: Sequence[Action]) -> int:
     """Return the number of messages to keep for playback."""
-    operators = [operator for part in parts for operator in part.do]
-    return max((o.messages for o in operators if isinstance(o, Playback)), default=0)
+    return max((operator.messages for part in parts for operator in part.do), default=0)
 
 
 def _action(spec: Mapping[str, Any], key: Key, context: CompileContext) -> Action:
-    when = None
-    if "when" in spec:
-        when = context.term(spec["when"], (*key, "when"), Boolean)
+    when = context.condition(spec, key)
     inner, let = context.let(spec, key)
     return Action(spec["name"], when, let, compile_operators(spec["do"], (*key, "do"), inner))

@@ -1,102 +1,91 @@
 """The operators of the scenario language by name, and the compilation of an action's operators.
 
-An operator is compiled once against the message type and then called with each message's ``Step``.
+An operator is compiled once against the message type and then applied to each message's ``Step``.
 """
 
 import dataclasses
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import Any, Self
+from typing import Any
 
 from sim.fuzzing.compile_context import CompileContext, Spec, Target
-from sim.fuzzing.output_operators import Delay, Drop, Duplicate, Emit, Playback
+from sim.fuzzing.output_operators import (
+    compile_delay,
+    compile_drop,
+    compile_duplicate,
+    compile_emit,
+    compile_playback,
+)
 from sim.fuzzing.scenario import Key
 from sim.fuzzing.state_operators import compile_store
-from sim.fuzzing.step import Operator, Step, Term
+from sim.fuzzing.step import Operator, Step
 from sim.fuzzing.value_operators import (
     LOOP_WORK,
-    Arithmetic,
-    MapArray,
-    Mutate,
-    Noise,
-    RemoveWhere,
-    Set,
+    compile_arithmetic,
+    compile_map_array,
+    compile_mutate,
+    compile_noise,
+    compile_remove_where,
+    compile_set,
+    with_names,
 )
-from sim.fuzzing.value_types import Boolean, Message
+from sim.fuzzing.value_types import Message
 
 
-@dataclass(frozen=True, slots=True)
-class _ForEach:
+def _compile_for_each(spec: Spec, key: Key, context: CompileContext) -> Operator:
     """Apply operators to every message in an array of messages."""
-
-    target: Target
-    names: tuple[str, ...]
-    when: Term | None
-    let: tuple[tuple[str, Term], ...]
-    do: tuple[Operator, ...]
-    cost: int
-
-    @classmethod
-    def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
-        """Check and compile."""
-        target = Target.of(spec, key, context)
-        element = target.element
-        if element == target.field.type or not isinstance(element, Message):
-            raise context.scenario.error(
-                (*key, "field"),
-                f"expected an array of messages, {target.field.path} is a {target.field.type}; "
-                "arrays of numbers take map_array",
-            )
-        inner, names = context.loop(spec, key, element)
-        when = None
-        if "when" in spec:
-            when = inner.term(spec["when"], (*key, "when"), Boolean)
-        inner, let = inner.let(spec, key)
-        inner = dataclasses.replace(inner, root=element)
-        do = compile_operators(spec["do"], (*key, "do"), inner, ON_ELEMENTS)
-        terms = [term for _, term in let] + ([when] if when else [])
-        work = 1 + sum(part.cost for part in (*terms, *do))
-        return cls(
-            target, names, when, let, do, LOOP_WORK * work * context.width(target.field.type)
+    target = Target.of(spec, key, context)
+    element_type = target.element
+    if element_type == target.field.type or not isinstance(element_type, Message):
+        raise context.scenario.error(
+            (*key, "field"),
+            f"expected an array of messages, {target.field.path} is a {target.field.type}; "
+            "arrays of numbers take map_array",
         )
+    inner, names = context.loop(spec, key, element_type)
+    when = inner.condition(spec, key)
+    inner, let = inner.let(spec, key)
+    inner = dataclasses.replace(inner, root=element_type)
+    do = compile_operators(spec["do"], (*key, "do"), inner, ON_ELEMENTS)
 
-    def __call__(self, step: Step) -> None:
-        """Apply the operator."""
-        old = self.target.old(step)
-        new = [self._element(step, *place) for place in enumerate(old)]
-        self.target.change(step, old, new)
-
-    def _element(self, step: Step, i: int, element: Any) -> Any:
-        env = {**step.env, **dict(zip(self.names, (element, i), strict=False))}
+    def changed(step: Step, i: int, element: Any) -> Any:
+        env = with_names(step.env, names, element, i)
         inner = dataclasses.replace(
             step, env=env, original=element, message=element, notes=[], branch=i + 1
         )
-        if self.when is None or self.when(inner):
-            for name, term in self.let:
+        if when is None or when(inner):
+            for name, term in let:
                 inner.env[name] = term(inner)
-            for part in self.do:
-                part(inner)
+            for part in do:
+                part.apply(inner)
             step.magnitude = max(step.magnitude, inner.magnitude)
         return inner.message
 
+    def apply(step: Step) -> None:
+        old = target.old(step)
+        target.change(step, old, [changed(step, *place) for place in enumerate(old)])
+
+    terms = [term for _, term in let] + ([when] if when else [])
+    work = 1 + sum(term.cost for term in terms) + sum(operator.cost for operator in do)
+    return Operator(apply, LOOP_WORK * work * context.width(target.field.type))
+
 
 OPERATORS: Mapping[str, Callable[[Spec, Key, CompileContext], Operator]] = {
-    "set": Set.compile,
-    "add": partial(Arithmetic.compile, amount="by", combine=lambda x, by, _: x + by),
-    "scale": partial(Arithmetic.compile, amount="by", combine=lambda x, by, _: x * by),
-    "noise": Noise.compile,
-    "drift": partial(Arithmetic.compile, amount="rate", combine=lambda x, rate, t: x + rate * t),
-    "map_array": MapArray.compile,
-    "for_each": _ForEach.compile,
-    "remove_where": RemoveWhere.compile,
-    "mutate": Mutate.compile,
-    "drop": Drop.compile,
-    "delay": Delay.compile,
-    "duplicate": Duplicate.compile,
-    "replay": Playback.compile,
-    "freeze": Playback.compile,
-    "emit": Emit.compile,
+    "set": compile_set,
+    "add": partial(compile_arithmetic, amount="by", combine=lambda x, by, _: x + by),
+    "scale": partial(compile_arithmetic, amount="by", combine=lambda x, by, _: x * by),
+    "noise": compile_noise,
+    "drift": partial(compile_arithmetic, amount="rate", combine=lambda x, rate, t: x + rate * t),
+    "map_array": compile_map_array,
+    "for_each": _compile_for_each,
+    "remove_where": compile_remove_where,
+    "mutate": compile_mutate,
+    "drop": compile_drop,
+    "delay": compile_delay,
+    "duplicate": compile_duplicate,
+    "replay": compile_playback,
+    "freeze": compile_playback,
+    "emit": compile_emit,
     "store": compile_store,
 }
 ON_ELEMENTS = ("set", "add", "scale", "noise", "drift", "map_array")

@@ -1,14 +1,13 @@
 """Operators that decide which messages are published, when and how often."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 from sim.fuzzing.compile_context import CompileContext, Spec
-from sim.fuzzing.fields import Convert, Field, converter, with_fields
+from sim.fuzzing.fields import converter, with_fields
 from sim.fuzzing.scenario import Key
-from sim.fuzzing.step import Step, Term
-from sim.fuzzing.value_types import Message, Number, has_header, zero
+from sim.fuzzing.step import Operator, Step
+from sim.fuzzing.value_types import Number, has_header, zero
 from sim.middleware.stamps import header as make_header
 
 MAX_OUTPUTS = 1000  # for one message
@@ -16,62 +15,38 @@ MAX_OUTPUTS = 1000  # for one message
 _MAX_DELAY_S = 60.0
 
 
-@dataclass(frozen=True, slots=True)
-class Drop:
+def compile_drop(spec: Spec, key: Key, context: CompileContext) -> Operator:  # noqa: ARG001
     """Drop the message."""
 
-    cost: int = 1
-
-    @classmethod
-    def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:  # noqa: ARG003
-        """Check and compile."""
-        return cls()
-
-    def __call__(self, step: Step) -> None:
-        """Apply the operator."""
+    def apply(step: Step) -> None:
         step.dropped = True
         step.note(1.0, "dropped")
 
+    return Operator(apply, 1)
 
-@dataclass(frozen=True, slots=True)
-class Delay:
+
+def compile_delay(spec: Spec, key: Key, context: CompileContext) -> Operator:
     """Forward later, by at most a minute."""
+    seconds = context.term(spec["seconds"], (*key, "seconds"), Number)
 
-    seconds: Term
-    cost: int
-
-    @classmethod
-    def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
-        """Check and compile."""
-        seconds = context.term(spec["seconds"], (*key, "seconds"), Number)
-        return cls(seconds, seconds.cost)
-
-    def __call__(self, step: Step) -> None:
-        """Apply the operator."""
-        step.delay_s = _clamped(self.seconds(step), 0.0, _MAX_DELAY_S)
+    def apply(step: Step) -> None:
+        step.delay_s = _clamped(seconds(step), 0.0, _MAX_DELAY_S)
         step.note(step.delay_s, f"delayed by {step.delay_s:.6g} s")
 
+    return Operator(apply, seconds.cost)
 
-@dataclass(frozen=True, slots=True)
-class Duplicate:
+
+def compile_duplicate(spec: Spec, key: Key, context: CompileContext) -> Operator:
     """Forward several times, ``spacing_s`` apart."""
+    copies = context.term(spec["copies"], (*key, "copies"), Number)
+    spacing_s = context.term(spec.get("spacing_s", 0.0), (*key, "spacing_s"), Number)
 
-    copies: Term
-    spacing_s: Term
-    cost: int
-
-    @classmethod
-    def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
-        """Check and compile."""
-        copies = context.term(spec["copies"], (*key, "copies"), Number)
-        spacing_s = context.term(spec.get("spacing_s", 0.0), (*key, "spacing_s"), Number)
-        return cls(copies, spacing_s, copies.cost + spacing_s.cost)
-
-    def __call__(self, step: Step) -> None:
-        """Apply the operator."""
-        step.copies = int(_clamped(self.copies(step), 1.0, MAX_OUTPUTS))
-        step.spacing_s = _clamped(self.spacing_s(step), 0.0, _MAX_DELAY_S)
+    def apply(step: Step) -> None:
+        step.copies = int(_clamped(copies(step), 1.0, MAX_OUTPUTS))
+        step.spacing_s = _clamped(spacing_s(step), 0.0, _MAX_DELAY_S)
         step.note(float(step.copies), f"{step.copies} copies")
+
+    return Operator(apply, copies.cost + spacing_s.cost)
 
 
 class _Held(NamedTuple):
@@ -83,82 +58,61 @@ class _Held(NamedTuple):
     last: int  # number of messages before the latest
 
 
-@dataclass(frozen=True, slots=True)
-class Playback:
+def compile_playback(spec: Spec, key: Key, context: CompileContext) -> Operator:  # noqa: ARG001
     """Forward earlier messages, repeatedly, under the headers of those that arrive.
 
     These are the last ``messages`` before the operator began, or else the one at which it began. It
     begins again after a message to which it did not apply.
     """
+    messages, number = spec.get("messages", 0), next(context.numbers)
 
-    messages: int
-    number: int
-    cost: int = 1
-
-    @classmethod
-    def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:  # noqa: ARG003
-        """Check and compile."""
-        return cls(spec.get("messages", 0), next(context.numbers))
-
-    def __call__(self, step: Step) -> None:
-        """Apply the operator."""
-        held = step.memory.get(self.number)
+    def apply(step: Step) -> None:
+        held = step.memory.get(number)
         if held is None or held.last != step.received - 1:
-            before = list(step.recent)[-1 - self.messages : -1]
+            before = list(step.recent)[-1 - messages : -1]
             oldest = step.received - len(before)
             held = _Held(before or [step.message], oldest, step.received, step.received)
-        step.memory[self.number] = held._replace(last=step.received)
+        step.memory[number] = held._replace(last=step.received)
         place = (step.received - held.first) % len(held.messages)
         ago = step.received - held.oldest - place
         step.message = _restamped(held.messages[place], step.header)
         step.note(float(ago), f"as {ago} messages before")
 
+    return Operator(apply, 1, messages)
 
-@dataclass(frozen=True, slots=True)
-class Emit:
+
+def compile_emit(spec: Spec, key: Key, context: CompileContext) -> Operator:
     """Publish one more message: a copy of the one that arrived, or a new one."""
+    is_copy, to = "copy" in spec, spec.get("to", "")
+    if to not in context.outputs:
+        known = ", ".join(name for name in context.outputs if name) or "none"
+        raise context.scenario.error((*key, "to"), f"expected one of {known}, found {to}")
+    topic, output = context.outputs[to]
+    if is_copy and output != context.outputs[""][1]:
+        raise context.scenario.error((*key, "copy"), f"expected no copy: {to} is of another type")
+    if is_copy and "msg" not in context.scope.names:
+        raise context.scenario.error((*key, "copy"), "expected no copy: a timer has no message")
+    fields = []
+    for path, text in spec["fields"].items():
+        place = (*key, "fields", path)
+        field = context.field_at(path, place, output)
+        value = context.term(text, place)
+        context.check_fits(value, field.type, place, field.path)
+        fields.append((field, converter(field.type), value))
 
-    is_copy: bool
-    topic: str
-    output: Message
-    fields: tuple[tuple[Field, Convert, Term], ...]
-    cost: int
-
-    @classmethod
-    def compile(cls, spec: Spec, key: Key, context: CompileContext) -> Self:
-        """Check and compile."""
-        is_copy, to = "copy" in spec, spec.get("to", "")
-        if to not in context.outputs:
-            known = ", ".join(name for name in context.outputs if name) or "none"
-            raise context.scenario.error((*key, "to"), f"expected one of {known}, found {to}")
-        topic, output = context.outputs[to]
-        if is_copy and output != context.outputs[""][1]:
-            raise context.scenario.error(
-                (*key, "copy"), f"expected no copy: {to} is of another type"
-            )
-        if is_copy and "msg" not in context.scope.names:
-            raise context.scenario.error((*key, "copy"), "expected no copy: a timer has no message")
-        fields = []
-        for path, text in spec["fields"].items():
-            place = (*key, "fields", path)
-            field = context.field_at(path, place, output)
-            value = context.term(text, place)
-            context.check_fits(value, field.type, place, field.path)
-            fields.append((field, converter(field.type), value))
-        cost = 1 + sum(value.cost + context.width(field.type) for field, _, value in fields)
-        return cls(is_copy, topic, output, tuple(fields), cost)
-
-    def __call__(self, step: Step) -> None:
-        """Apply the operator."""
+    def apply(step: Step) -> None:
         message = step.original
-        if not self.is_copy:
-            message = zero(self.output)
-            if has_header(self.output):
+        if not is_copy:
+            message = zero(output)
+            if has_header(output):
                 message = _restamped(message, step.header or make_header(step.stamp_ns, ""))
-        for place, convert, value in self.fields:
+        for place, convert, value in fields:
             message = place.replaced(message, convert(value(step), place.read(message)))
-        step.emitted.append((self.topic, message))
+        step.emitted.append((topic, message))
         step.note(1.0, "1 emitted")
+
+    cost = 1 + sum(value.cost + context.width(field.type) for field, _, value in fields)
+    return Operator(apply, cost)
 
 
 def _restamped(message: Any, header: Any) -> Any:

@@ -134,8 +134,8 @@ class Action:
     @property
     def cost(self) -> int:
         """Elements that it computes for one message, at most."""
-        parts = [*(term for _, term in self.let), *self.do, *filter(None, [self.when])]
-        return sum(part.cost for part in parts)
+        terms = [*(term for _, term in self.let), *filter(None, [self.when])]
+        return sum(term.cost for term in terms) + sum(operator.cost for operator in self.do)
 
     def __call__(self, step: Step) -> bool:
         """Apply the operators if the condition holds; return whether it did."""
@@ -149,7 +149,7 @@ class Action:
         for name, term in self.let:
             step.env[name] = term(step)
         for operator in self.do:
-            operator(step)
+            operator.apply(step)
         step.env = env
         return True
 

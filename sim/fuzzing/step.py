@@ -1,9 +1,9 @@
 """A message that a scenario processes, with the values computed for it."""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -74,12 +74,10 @@ class Term:
         return self.expression(step.env)
 
 
-class Operator(Protocol):
-    """A compiled operator, which changes a message."""
+@dataclass(frozen=True, slots=True)
+class Operator:
+    """A compiled operator."""
 
-    @property
-    def cost(self) -> int:
-        """Elements that it computes for one message, at most."""
-
-    def __call__(self, step: Step) -> None:
-        """Apply it."""
+    apply: Callable[[Step], None]  # changes the message
+    cost: int  # elements that it computes for one message, at most
+    messages: int = 0  # number of earlier messages that it needs

@@ -159,8 +159,7 @@ def test_gaussian_noise_is_as_wide_as_asked_for():
 def test_noise_on_one_number_is_drawn_as_for_an_array_of_one():
     compiled = doing("noise: {field: range, dist: uniform, absolute: 0.5}", msgtype=RANGE)
     heard = only(compiled, message(RANGE, range=1.0))
-    (noise,) = compiled.actions[0].do
-    draw = Draws(1, 0).generator(0, noise.number).random()
+    draw = Draws(1, 0).generator(0, operation=2).random()  # the spread is operation 1
     assert heard.range == np.float32(1.0 + (draw - 0.5))
 
 
