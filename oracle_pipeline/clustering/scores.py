@@ -6,7 +6,7 @@ Higher scores are more anomalous. ``oracle_pipeline.evaluation`` measures how go
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.clustering.tree import ClusteringError, Tree
+from oracle_pipeline.clustering.tree import Tree
 
 
 def outside_largest(clusters: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -28,20 +28,17 @@ def outside_largest(clusters: NDArray[np.int32]) -> NDArray[np.bool_]:
     return np.asarray(clusters != largest, dtype=np.bool_)
 
 
-def hac_height(tree: Tree, reference: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+def hac_height(tree: Tree) -> NDArray[np.float64]:
     """Return the height at which each row joins the majority.
 
-    ``h(x) = min {t : the component of x at height t has at least half of the reference rows}``.
-    This makes a dendrogram comparable with any detector: an unusual row joins late. With single
-    linkage it is the minimax path distance to the majority.
+    ``h(x) = min {t : the component of x at height t has at least half of the rows}``. This makes a
+    dendrogram comparable with any detector: if most rows are normal, an unusual one joins late.
+    With single linkage it is the minimax path distance to the majority.
 
     Parameters
     ----------
     tree : Tree
         Over n rows.
-    reference : ndarray of bool, shape (n,), optional
-        The rows that represent normal behaviour; by default all rows, which assumes that most are
-        normal.
 
     Returns
     -------
@@ -49,15 +46,12 @@ def hac_height(tree: Tree, reference: NDArray[np.bool_] | None = None) -> NDArra
         Heights, in the tree's unit of distance.
     """
     n = len(tree)
-    reference = np.ones(n, dtype=np.bool_) if reference is None else reference
-    if not reference.any():
-        raise ClusteringError("No row is marked as reference; mark the rows of normal behaviour.")
     children = tree.merges[:, :2].astype(np.intp).tolist()
-    held = [*reference.tolist(), *[0] * (n - 1)]
+    held = [1] * n + [0] * (n - 1)
     for node, (left, right) in enumerate(children, start=n):
         held[node] = held[left] + held[right]
 
-    half = held[-1] / 2
+    half = n / 2
     height = [0.0] * n + tree.merges[:, 2].tolist()
     for node in range(2 * n - 2, n - 1, -1):  # from the root down
         for child in children[node - n]:

@@ -77,9 +77,4 @@ def grow_tree(X: NDArray[np.float64], method: Linkage = "ward") -> Tree:
         raise ClusteringError(
             f"The distances of {n} rows take {4e-9 * n * n:.0f} GB; use at most {MOST_ROWS} rows."
         )
-    return tree_of(pdist(X), method)
-
-
-def tree_of(distances: NDArray[np.float64], method: Linkage) -> Tree:
-    """Agglomerate rows whose distances are known, in the order of SciPy's ``pdist``."""
-    return Tree(method, linkage(distances, method))
+    return Tree(method, linkage(pdist(X), method))

@@ -4,9 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.covariance import LedoitWolf
 from sklearn.decomposition import PCA
-from sklearn.neighbors import NearestNeighbors
 
-from oracle_pipeline.detectors.base import DetectorError, OwnDetector
+from oracle_pipeline.detectors.base import OwnDetector
 
 _LEAST_WIDTH = 1.0  # of a range [scales]
 _MOST_WIDTHS = 3.0  # that one feature counts
@@ -121,27 +120,3 @@ class Mahalanobis(OwnDetector):
         deviation = X - self.location_
         squared = np.einsum("ij,ij->i", deviation @ self.precision_, deviation)
         return np.asarray(np.sqrt(squared), dtype=np.float64)
-
-
-class NearestRuns(OwnDetector):
-    """Mean Euclidean distance to the nearest normal runs.
-
-    Parameters
-    ----------
-    n_neighbors : int
-    """
-
-    def __init__(self, n_neighbors: int = 5) -> None:
-        self.n_neighbors = n_neighbors
-
-    def _learn(self, X: NDArray[np.float64]) -> None:
-        if len(X) < self.n_neighbors:
-            raise DetectorError(
-                f"{len(X)} runs are too few for {self.n_neighbors} neighbours; "
-                "fit on more runs or lower n_neighbors."
-            )
-        self.neighbors_ = NearestNeighbors(n_neighbors=self.n_neighbors).fit(X)
-
-    def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
-        distances, _ = self.neighbors_.kneighbors(X)
-        return np.asarray(distances.mean(axis=1), dtype=np.float64)

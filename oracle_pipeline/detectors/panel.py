@@ -13,13 +13,7 @@ from sklearn.pipeline import Pipeline
 
 from oracle_pipeline.clustering.scaling import FlooredRobustScaler
 from oracle_pipeline.detectors.base import Detector, DetectorError
-from oracle_pipeline.detectors.clusters import HacHeight
-from oracle_pipeline.detectors.distances import (
-    LargestZ,
-    Mahalanobis,
-    NearestRuns,
-    PrincipalComponents,
-)
+from oracle_pipeline.detectors.distances import LargestZ, Mahalanobis, PrincipalComponents
 
 DEFAULT_DETECTOR = "mahalanobis"  # docs/explanation/detectors.md gives the reasons
 PLUGINS = "oracle_pipeline.detectors"  # group of entry points
@@ -28,10 +22,7 @@ PLUGINS = "oracle_pipeline.detectors"  # group of entry points
 def panel(seed: int) -> dict[str, Detector]:
     """Return the detectors by name, unfitted; `seed` is for randomised ones."""
     return {
-        "hac_height": HacHeight(),
         "mahalanobis": Mahalanobis(),
-        "max_z": LargestZ(),
-        "knn": NearestRuns(n_neighbors=5),
         "isolation_forest": IsolationForest(n_estimators=300, random_state=seed),
         "pca": PrincipalComponents(),
         "z_3": LargestZ(3),

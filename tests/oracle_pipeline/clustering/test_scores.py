@@ -7,14 +7,14 @@ from oracle_pipeline.clustering.scores import hac_height, outside_largest
 from oracle_pipeline.clustering.tree import LINKAGES, ClusteringError, Tree, grow_tree
 
 
-def slow_hac_height(tree, reference):
+def slow_hac_height(tree):
     """Try every height from below: the definition, word by word."""
     heights = np.full(len(tree), np.nan)
     for t in [0.0, *tree.merges[:, 2]]:
         clusters = tree.cut("distance", t)
         for x in range(len(tree)):
             component = clusters == clusters[x]
-            if np.isnan(heights[x]) and reference[component].sum() >= reference.sum() / 2:
+            if np.isnan(heights[x]) and component.sum() >= len(tree) / 2:
                 heights[x] = t
     return heights
 
@@ -27,11 +27,9 @@ def trees(draw):
     return grow_tree(X, draw(st.sampled_from(LINKAGES)))
 
 
-@given(trees(), st.randoms(use_true_random=False))
-def test_hac_height_is_the_lowest_height_that_holds_half_of_the_reference(tree, random):
-    reference = np.array([random.random() < 0.5 for _ in range(len(tree))])
-    reference[random.randrange(len(tree))] = True
-    assert hac_height(tree, reference).tolist() == slow_hac_height(tree, reference).tolist()
+@given(trees())
+def test_hac_height_is_the_lowest_height_that_holds_half_of_the_rows(tree):
+    assert hac_height(tree).tolist() == slow_hac_height(tree).tolist()
 
 
 def test_an_anomalous_run_joins_the_majority_last():
@@ -47,12 +45,6 @@ def test_a_chain_of_ten_thousand_runs_needs_no_recursion():
     height = hac_height(Tree("single", merges))
     assert height[0] == n / 2 - 1
     assert height[-1] == n - 1
-
-
-def test_a_reference_without_runs_is_an_error():
-    tree = grow_tree(np.eye(3))
-    with pytest.raises(ClusteringError, match="No row is marked as reference"):
-        hac_height(tree, np.zeros(3, dtype=bool))
 
 
 @given(st.lists(st.integers(1, 4), min_size=1, max_size=20))

@@ -21,7 +21,7 @@ from tests.oracle_pipeline.datasets.synthetic import campaign
 from tests.oracle_pipeline.evaluation.test_kill_rates import grid_of
 
 ROWS = 60
-QUICK = ("mahalanobis", "max_z")
+QUICK = ("mahalanobis", "z_3")
 UNDRAWN = "lidar_passthrough|run003"
 
 

@@ -79,7 +79,7 @@ def test_with_three_sessions_no_session_is_split(blocks, sessions):
     of = runs(blocks, 0, {**NORMAL, "lidar_passthrough_odom": "normal"})
     session = of.block % sessions
     of = replace(of, features=of.features.assign(session=session))
-    scorer = learned(of, detector="max_z")
+    scorer = learned(of, detector="z_3")
     unit = session if sessions >= 3 else of.block
     for name in np.unique(unit):
         assert len(set(scorer.fold_[unit == name])) == 1
@@ -89,7 +89,7 @@ def test_with_three_sessions_no_session_is_split(blocks, sessions):
 def test_blocks_of_two_joined_campaigns_are_not_split():
     of = runs(9, 0, {**NORMAL, "lidar_passthrough_odom": "normal"})
     session = of.block % 3 + 3 * (of.features["mode"] == "lidar_passthrough")  # of two days each
-    scorer = learned(replace(of, features=of.features.assign(session=session)), detector="max_z")
+    scorer = learned(replace(of, features=of.features.assign(session=session)), detector="z_3")
     assert all(len(set(scorer.fold_[of.block == block])) == 1 for block in range(9))
 
 
@@ -117,7 +117,7 @@ def test_the_order_of_the_recordings_does_not_matter(normal, scorer):
 
 
 def test_runs_can_be_scored_without_features_of_windows(normal):
-    of = Design(panel(0)["max_z"], feature_columns(normal.features), [], {})
+    of = Design(panel(0)["z_3"], feature_columns(normal.features), [], {})
     scorer = CrossConformalScorer(of).fit(normal, np.random.default_rng(0))
     assert scorer.scores(normal).shape == (3, 20)  # the runs are of three sessions
 
