@@ -29,16 +29,15 @@ def record_command(wanted: Sequence[str], blocks: int, testbed: str) -> str:
     Parameters
     ----------
     wanted : sequence of str
-        Modes; ``benign_*`` matches all with this prefix.
+        Modes.
     blocks : int
         Number of blocks, from the first one.
     testbed : str
         That of the campaign: modes of others would be of no use. Without any left, all of its
         modes are recorded.
     """
-    beginnings = tuple(name[:-1] for name in wanted if name.endswith("*"))
     known = [mode for mode in modes() if testbed_of(mode) == testbed]
-    chosen = [mode for mode in known if mode in wanted or mode.startswith(beginnings)] or known
+    chosen = [mode for mode in known if mode in wanted] or known
     settings = {name: os.environ[name] for name in REPEATED if os.environ.get(name)}
     if blocks > run_count(os.environ) or os.environ.get("ORACLE_RUNS"):
         settings["ORACLE_RUNS"] = str(max(blocks, run_count(os.environ)))

@@ -14,7 +14,6 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bootstrap import DistinctRuns
 from oracle_pipeline.datasets import is_hard_negative, read_table
 from oracle_pipeline.evaluation.card_verdicts import RATE, card_folds, card_verdicts
-from oracle_pipeline.evaluation.estimate import NOTHING
 from oracle_pipeline.evaluation.metrics import auc, share
 from oracle_pipeline.oracles.calibration import KindScores, calibrated, union
 from oracle_pipeline.oracles.kind import OracleKind, TracedRuns
@@ -36,14 +35,11 @@ class KindsComparison:
     ----------
     oracles : DataFrame
         A row for each oracle: the input it needs from people, its cost, and its rates.
-    by_mode : DataFrame
-        A row for each oracle and mode: the share of runs that it calls anomalous.
     p : DataFrame
         A row for each run: its name, mode and label, and a column of p-values for each oracle.
     """
 
     oracles: pd.DataFrame
-    by_mode: pd.DataFrame
     p: pd.DataFrame
 
 
@@ -94,14 +90,9 @@ def compare_kinds(
     for row in rows:
         if (verdict := verdicts.get(str(row["oracle"]))) is not None:
             row.update(_rates(verdict, runs, rate, rng))
-    by_mode = [
-        {"oracle": name, **row}
-        for name, verdict in verdicts.items()
-        for row in _by_mode(verdict, runs, rate, rng)
-    ]
     p = pd.DataFrame({name: verdict.p for name, verdict in verdicts.items()})
     p = pd.concat([runs.table[["run_id", "mode", "label"]], p], axis=1)
-    return KindsComparison(pd.DataFrame(rows), pd.DataFrame(by_mode), p)
+    return KindsComparison(pd.DataFrame(rows), p)
 
 
 def by_cards(roots: Sequence[Path], runs: TracedRuns) -> dict[str, KindScores]:
@@ -131,7 +122,8 @@ def by_cards(roots: Sequence[Path], runs: TracedRuns) -> dict[str, KindScores]:
 def _rates(verdict: KindScores, runs: TracedRuns, rate: float, rng: np.random.Generator) -> Row:
     """Return AUC, detection rate and realised false positive rates, each with its interval."""
     called, block = verdict.p <= rate, runs.block
-    supported = _supported(runs, rate)
+    blocks, needed = len(np.unique(block[runs.normal])), runs_needed(rate) + 1
+    supported = blocks >= needed  # a run's own block has no vote
     harmless = is_hard_negative(runs.table)
     row: Row = {"rate": rate, **_area(verdict.score, runs, rng)}
     for name, group in (
@@ -142,42 +134,12 @@ def _rates(verdict: KindScores, runs: TracedRuns, rate: float, rng: np.random.Ge
         row |= share(called[group], block[group], rng).columns(name) if supported else {}
     if not supported:
         row["note"] = (
-            f"{_blocks(runs)} blocks of normal runs cannot support a false positive rate of "
-            f"{rate:g}: record {runs_needed(rate) + 1}, or allow a higher rate"
+            f"{blocks} blocks of normal runs cannot support a false positive rate of {rate:g}: "
+            f"record {needed}, or allow a higher rate"
         )
     return row
-
-
-def _blocks(runs: TracedRuns) -> int:
-    return len(np.unique(runs.block[runs.normal]))
-
-
-def _supported(runs: TracedRuns, rate: float) -> bool:
-    """Return whether a run can be called anomalous at all; its own block has no vote."""
-    return _blocks(runs) > runs_needed(rate)
 
 
 def _area(score: NDArray[np.float64], runs: TracedRuns, rng: np.random.Generator) -> Row:
     distinct = DistinctRuns.once(runs.malicious | runs.normal, runs.malicious, runs.block)
     return dict(auc(score[distinct.first], distinct, rng).columns("auc"))
-
-
-def _by_mode(
-    verdict: KindScores, runs: TracedRuns, rate: float, rng: np.random.Generator
-) -> list[Row]:
-    """Return the share of the runs of each mode that is called anomalous, attacks first."""
-    mode = runs.table["mode"].to_numpy(dtype=str)
-    attacked, known = runs.malicious, runs.malicious | runs.normal
-    supported = _supported(runs, rate)
-    order = sorted(set(mode[known]), key=lambda name: (not attacked[mode == name].any(), name))
-    rows: list[Row] = []
-    for name in order:
-        members = known & (mode == name)
-        called = (
-            share(verdict.p[members] <= rate, runs.block[members], rng) if supported else NOTHING
-        )
-        label = str(runs.table["label"].to_numpy()[members][0])
-        rows.append(
-            {"mode": name, "label": label, "runs": int(members.sum()), **called.columns("called")}
-        )
-    return rows

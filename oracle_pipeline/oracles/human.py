@@ -36,7 +36,6 @@ from oracle_pipeline.oracles.kind import (
 from oracle_pipeline.oracles.specified import Specified
 
 BAD, GOOD = "bad", "good"
-_RESAMPLES = 200  # of the answers, to compute the interval of the threshold
 
 
 class AnswerError(KindError):
@@ -113,17 +112,11 @@ class _Opinion:
     weights : ndarray of shape (n_judges,)
     threshold : float
         Runs above it are more likely bad than good.
-    low, high : float
-        95 % interval of the threshold, from resampled answers.
-    answers : int
     """
 
     coordinates: _Coordinates
     weights: NDArray[np.float64]
     threshold: float
-    low: float
-    high: float
-    answers: int
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
         """Return the weighted coordinates of each run; those above the threshold are bad."""
@@ -170,10 +163,7 @@ class Human:
                 "`oracle review`, both good and bad ones."
             )
         coordinates = _Coordinates.learned(normal, self._kinds)
-        inputs = coordinates.of(answered)
-        weights, threshold = _line(inputs, bad)
-        low, high = _interval(inputs @ weights, bad)
-        return _Opinion(coordinates, weights, threshold, low, high, len(bad))
+        return _Opinion(coordinates, *_line(coordinates.of(answered), bad))
 
     def written(self) -> int:
         """Return the number of answers."""
@@ -289,9 +279,8 @@ def learned_line(material: Material) -> str:
         return f"{len(material.answers)} answers. {error}"
     above = opinion.score(runs) > opinion.threshold
     return (
-        f"{opinion.answers} answers give a threshold of {opinion.threshold:.2f} "
-        f"[{opinion.low:.2f}, {opinion.high:.2f}]; {int(above.sum())} of {len(above)} runs are "
-        "above it."
+        f"{len(material.answers)} answers: {int(above.sum())} of {len(above)} runs are more likely "
+        "bad than good."
     )
 
 
@@ -334,14 +323,3 @@ def _threshold(scores: NDArray[np.float64], bad: NDArray[np.bool_]) -> float:
     found = (scores[bad, None] > places).mean(axis=0) + (scores[~bad, None] <= places).mean(axis=0)
     best = np.flatnonzero(found >= found.max() - 1e-12)
     return float(places[best[len(best) // 2]])
-
-
-def _interval(scores: NDArray[np.float64], bad: NDArray[np.bool_]) -> tuple[float, float]:
-    rng = np.random.default_rng(0)
-    good_rows, bad_rows = np.flatnonzero(~bad), np.flatnonzero(bad)
-    drawn = []
-    for _ in range(_RESAMPLES):
-        rows = np.concatenate([rng.choice(of, len(of)) for of in (good_rows, bad_rows)])
-        drawn.append(_threshold(scores[rows], bad[rows]))
-    low, high = np.quantile(drawn, [0.025, 0.975])
-    return float(low), float(high)

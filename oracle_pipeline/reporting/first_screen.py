@@ -14,11 +14,10 @@ from oracle_pipeline.datasets import is_malicious
 from oracle_pipeline.reporting.stored_report import Report
 from oracle_pipeline.reporting.strip_plot import StripPlot, strip_plot
 from oracle_pipeline.reporting.templating import run_page
-from oracle_pipeline.reporting.two_scores import called_kinds, counted, true_kinds
 
 HIGHEST = 3  # number of runs with the highest scores to list
 
-# Takes modes, with a trailing ``*`` as wildcard, and blocks; returns the command that records them.
+# Takes modes and blocks; returns the command that records them.
 Recorder = Callable[[Sequence[str], int], str]
 Row = Mapping[Any, Any]  # of a table, by column
 
@@ -30,8 +29,6 @@ class FirstScreen:
     answer: str
     recorded: str
     verdicts: str
-    by_scores: str  # number of runs that the two scores call tampered and misbehaved; may be empty
-    in_truth: str  # number of runs that are
     highest: Sequence[Row]  # runs
     highest_normal: Row | None
     claims: Sequence[tuple[Row, str]]  # not supported yet; and the command that would help, if any
@@ -46,8 +43,6 @@ def first_screen(evaluation: Report, record: Recorder) -> FirstScreen:
         answer=str(evaluation.summary["headline"]),
         recorded=_recorded(runs, int(evaluation.summary["left_out"])),
         verdicts=str(evaluation.summary["verdicts"]),
-        by_scores=counted(called_kinds(runs)),
-        in_truth=counted(true_kinds(runs)),
         highest=scored.head(HIGHEST).to_dict("records"),
         highest_normal=next(iter(scored[~is_malicious(scored)].to_dict("records")), None),
         claims=[

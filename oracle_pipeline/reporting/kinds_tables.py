@@ -6,28 +6,9 @@ import pandas as pd
 
 from oracle_pipeline.bags.terminal import aligned_lines
 from oracle_pipeline.evaluation.kinds_comparison import KindsComparison
-from oracle_pipeline.reporting.tables import PageColumn, PageTable, table
+from oracle_pipeline.reporting.tables import PageTable, plain_table, table
 
 _FEW = 20  # most recordings without a label to show p-values of; JSON has all
-
-
-def table_of_modes(comparison: KindsComparison) -> PageTable:
-    """Return a row for each mode: the share of runs that each oracle calls anomalous."""
-    by_mode = comparison.by_mode
-    names = list(dict.fromkeys(by_mode["oracle"])) if len(by_mode) else []
-    columns = [PageColumn(name, name, "share called anomalous") for name in names]
-    return table("kinds_by_mode", _side_by_side(by_mode), columns)
-
-
-def _side_by_side(by_mode: pd.DataFrame) -> pd.DataFrame:
-    """Return a row for each mode, with an estimate for each oracle."""
-    if by_mode.empty:
-        return by_mode
-    joined = by_mode[["mode", "label", "runs"]].drop_duplicates().set_index("mode")
-    for name, of in by_mode.groupby("oracle", sort=False):
-        for end in ("", "_low", "_high"):
-            joined[f"{name}{end}"] = of.set_index("mode")[f"called{end}"]
-    return joined.reset_index()
 
 
 def as_text(comparison: KindsComparison, far: float) -> str:
@@ -38,15 +19,22 @@ def as_text(comparison: KindsComparison, far: float) -> str:
     shown = oracles.assign(needs=count + oracles["asks"])
     if "seconds_a_run" in oracles:
         shown["ms_a_run"] = 1e3 * oracles["seconds_a_run"]
-    by_mode = table_of_modes(comparison)
     sections = [[f"Nominal false positive rate: {far:g}, sessions held out"]]
     sections.append([*table("kinds_in_terminal", shown).lines()])
-    sections.append([*by_mode.lines()] if by_mode.rows else [])
+    if "detection_rate" in oracles:  # there are enough runs for the rate
+        sections.append([*_called_by_mode(comparison.p, far).lines()])
     sections.append(_p_of_unknown(comparison.p))
     if "note" in oracles:
         notes = oracles[oracles["note"].fillna("") != ""].groupby("note", sort=False)["oracle"]
         sections.append([f"{', '.join(names)}: {note}" for note, names in notes])
     return "\n\n".join("\n".join(lines) for lines in sections if lines)
+
+
+def _called_by_mode(p: pd.DataFrame, far: float) -> PageTable:
+    """Return the share of the runs of each mode that each oracle calls anomalous."""
+    known = p[p["label"] != "unknown"].set_index(["label", "mode"]).drop(columns="run_id")
+    shares = (known <= far).groupby(level=[0, 1]).mean().reset_index()
+    return plain_table("Share called anomalous", shares)
 
 
 def _p_of_unknown(p: pd.DataFrame) -> list[str]:
@@ -63,8 +51,8 @@ def _p_of_unknown(p: pd.DataFrame) -> list[str]:
 
 
 def as_json(comparison: KindsComparison, far: float) -> str:
-    """Return one JSON object with the three tables; unknown values are null."""
-    tables = {"oracles": comparison.oracles, "by_mode": comparison.by_mode, "runs": comparison.p}
+    """Return one JSON object with both tables; unknown values are null."""
+    tables = {"oracles": comparison.oracles, "runs": comparison.p}
     document = {
         "far": far,
         **{name: json.loads(table.to_json(orient="records")) for name, table in tables.items()},

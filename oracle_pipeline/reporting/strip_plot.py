@@ -12,7 +12,6 @@ import pandas as pd
 
 from oracle_pipeline.datasets import is_malicious
 from oracle_pipeline.evaluation.card_verdicts import RATE
-from oracle_pipeline.reporting.two_scores import KINDS, called_kinds
 
 MARGIN = 2.5  # left and right of the marks [%]
 TICK_DISTANCE = 8.0  # least distance of two ticks [%]
@@ -38,8 +37,7 @@ class _Strip(NamedTuple):
     mode: str
     label: str
     marks: Sequence[_Mark]
-    note: str  # number of runs; empty if `kinds` is given
-    kinds: Sequence[int]  # runs of each of `KINDS`, by their two scores; empty without verdicts
+    note: str  # number of runs
     description: str
 
 
@@ -51,7 +49,6 @@ class StripPlot(NamedTuple):
     ticks: Sequence[tuple[float, str]]  # position [%] and text
     highest_normal: float | None  # [%]
     with_verdicts: bool
-    kinds: Sequence[str]  # headings of the numbers; empty without verdicts
 
 
 def strip_plot(
@@ -74,7 +71,6 @@ def strip_plot(
     place = _Scale(runs["score"])
     height = next((px for modes, px in HEIGHTS if len(standing) <= modes), LEAST_HEIGHT)
     with_verdicts = bool(runs["p"].notna().any())
-    kinds = called_kinds(runs)
     strips = []
     for _, mode in standing.iterrows():
         of_mode = runs[runs["mode"] == mode["mode"]]
@@ -88,25 +84,20 @@ def strip_plot(
             )
             for number, run in enumerate(of_mode.itertuples())
         ]
-        number = kinds[of_mode.index].value_counts()
-        of_kinds = [int(number.get(kind, 0)) for kind in KINDS] if kinds.notna().any() else []
-        note = "" if of_kinds else f"{mode['runs']}"
-        description = _description(mode, of_mode, of_kinds)
-        strips.append(_Strip(mode["mode"], mode["label"], marks, note, of_kinds, description))
+        description = _description(mode, of_mode)
+        strips.append(_Strip(mode["mode"], mode["label"], marks, str(mode["runs"]), description))
     normal = runs.loc[~is_malicious(runs), "score"]
     highest = None if normal.empty else round(place(normal.max()), 2)
-    shown = KINDS if kinds.notna().any() else ()
-    return StripPlot(strips, height, place.ticks(), highest, with_verdicts, shown)
+    return StripPlot(strips, height, place.ticks(), highest, with_verdicts)
 
 
-def _description(mode: pd.Series, runs: pd.DataFrame, of_kinds: Sequence[int]) -> str:
+def _description(mode: pd.Series, runs: pd.DataFrame) -> str:
     """Return a text alternative for a line of the plot."""
     span = ""
     if len(runs):
         span = f", scores from {runs['score'].min():.3g} to {runs['score'].max():.3g}"
     called = f", {mode['called']} of {mode['judged']} called anomalous" if mode["judged"] else ""
-    kinds = "".join(f", {number} {kind}" for number, kind in zip(of_kinds, KINDS, strict=False))
-    return f"{mode['mode']}: {mode['runs']} {mode['label']} runs{span}{called}{kinds}"
+    return f"{mode['mode']}: {mode['runs']} {mode['label']} runs{span}{called}"
 
 
 class _Scale:

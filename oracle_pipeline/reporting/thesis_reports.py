@@ -14,10 +14,9 @@ from oracle_pipeline.bootstrap import distinct_runs, lacking
 from oracle_pipeline.clustering.tree import LINKAGES, ClusteringError
 from oracle_pipeline.datasets import content_hash, is_malicious
 from oracle_pipeline.evaluation.clustering_result import grow_over_rows
-from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.variants import VARIANTS, MethodVariant, VariantName
 from oracle_pipeline.reporting import charts, thesis_tables
-from oracle_pipeline.reporting.stored_report import Report, facts
+from oracle_pipeline.reporting.stored_report import Report
 from oracle_pipeline.reporting.thesis_tables import Bootstraps
 
 ROWS, MALICIOUS_RATE, SEED = 1000, 0.3, 50  # the thesis's bootstrap
@@ -94,31 +93,7 @@ def clustering_grid_search(
             continue  # its rows in the table give the reason
         pictures[f"dendrogram_{method}"] = charts.dendrogram(tree, list(rows["label"]))
     summary: dict[str, float | int | str] = {"settings": len(table), "note": lacking(rows)}
-    chosen = _selected(table) | _thesis_choice(table)
-    return Report(table, pictures, summary | _variant_facts(by) | chosen)
-
-
-def _selected(table: pd.DataFrame) -> dict[str, float | int | str]:
-    """Return the setting with the highest balanced accuracy; this needs labels."""
-    measure = "balanced_accuracy"
-    if table[measure].isna().all():
-        return {}
-    best = table.iloc[int(table[measure].argmax())]
-    setting = f"{best['linkage']}, {best['criterion']} {best['t']:g}"
-    return {"selected": setting, "selected_value": float(best[measure])}
-
-
-def _thesis_choice(table: pd.DataFrame) -> dict[str, float | int | str]:
-    """Return the setting with the highest recall (the thesis's rule), and its FPR."""
-    if table["recall_best_cluster"].isna().all():
-        return {}
-    chosen = table.iloc[int(table["recall_best_cluster"].argmax())]
-    picked = f"{chosen['linkage']}, {chosen['criterion']} {chosen['t']:g}"
-    return {
-        "thesis_rule_picks": picked,
-        **facts("recall_best_cluster", Estimate.of_row(chosen, "recall_best_cluster")),
-        **facts("fpr_best_cluster", Estimate.of_row(chosen, "fpr_best_cluster")),
-    }
+    return Report(table, pictures, summary | _variant_facts(by))
 
 
 def malicious_rate_report(

@@ -1,7 +1,7 @@
 """Tampering and misbehaviour of single runs: the two scores beside the ground truth.
 
 Scores and ground truth come from ``oracle_pipeline.evaluation``: ``aspects`` and ``task_effects``.
-This module formats them for the first screen and the pages of runs.
+This module formats them for the pages of runs.
 """
 
 from collections.abc import Mapping
@@ -11,59 +11,17 @@ import pandas as pd
 
 from oracle_pipeline.bags.behaviour import UNITS, behaviour
 from oracle_pipeline.bags.manifest import Manifest
-from oracle_pipeline.datasets import is_malicious
 from oracle_pipeline.evaluation.card_verdicts import RATE
 from oracle_pipeline.evaluation.task_effects import REPEATS
 from oracle_pipeline.reporting.tables import NO_FIGURE, PageTable, plain_table
 from oracle_pipeline.reporting.templating import number
 from oracle_pipeline.scoring.feature_sets import ASPECTS
 
-KINDS = ("tampered", "misbehaved", "both", "neither")
 _QUESTIONS = {
     "tampering": "Tampering: do its messages agree with each other?",
     "misbehaviour": "Misbehaviour: did the robot act as usual?",
 }
 _CALLED = {"tampering": "tampered", "misbehaviour": "misbehaved"}
-
-
-def called_kinds(runs: pd.DataFrame) -> pd.Series:
-    """Return the kind of each run by its two scores at 5 %; NaN without two p-values.
-
-    Parameters
-    ----------
-    runs : DataFrame
-        The table ``runs`` of `oracle_evaluation`.
-    """
-    p = runs[[f"{aspect}_p" for aspect in ASPECTS]]
-    called = p <= RATE
-    return _kinds(called["tampering_p"], called["misbehaviour_p"], p.notna().all(axis=1))
-
-
-def true_kinds(runs: pd.DataFrame) -> pd.Series:
-    """Return the true kind of each run; NaN if unknown."""
-    tampered = pd.Series(is_malicious(runs), runs.index)
-    return _kinds(tampered, runs["effect"] > 1.0, runs["effect"].notna())
-
-
-def _kinds(tampered: pd.Series, misbehaved: pd.Series, known: pd.Series) -> pd.Series:
-    both, neither = tampered & misbehaved, ~(tampered | misbehaved)
-    names = np.select([both, neither, tampered], ["both", "neither", "tampered"], "misbehaved")
-    return pd.Series(names, tampered.index, dtype=object).where(known)
-
-
-def counted(kinds: pd.Series) -> str:
-    """Return a text on the number of runs of each kind; empty if none is known.
-
-    Examples
-    --------
-    >>> counted(pd.Series(["both", "tampered", "both", None]))
-    '1 tampered only, 0 misbehaved only, 2 both, 0 neither'
-    """
-    if kinds.isna().all():
-        return ""
-    number = kinds.value_counts()
-    only = {"tampered": "tampered only", "misbehaved": "misbehaved only"}
-    return ", ".join(f"{number.get(kind, 0)} {only.get(kind, kind)}" for kind in KINDS)
 
 
 def scores_table(

@@ -1,10 +1,9 @@
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.clustering.scores import hac_height, outside_largest
-from oracle_pipeline.clustering.tree import LINKAGES, ClusteringError, Tree, grow_tree
+from oracle_pipeline.clustering.tree import LINKAGES, Tree, grow_tree
 
 
 def slow_hac_height(tree):

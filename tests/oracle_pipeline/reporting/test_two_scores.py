@@ -1,68 +1,14 @@
-"""Tampering and misbehaviour in words: kinds of runs, and the tables of a run's page."""
+"""Tampering and misbehaviour in words: the tables of a run's page."""
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from oracle_pipeline.bags.behaviour import UNITS
-from oracle_pipeline.evaluation.ranking import standing
-from oracle_pipeline.reporting.strip_plot import strip_plot
-from oracle_pipeline.reporting.two_scores import (
-    KINDS,
-    called_kinds,
-    counted,
-    scores_table,
-    task_table,
-    true_kinds,
-)
+from oracle_pipeline.reporting.two_scores import scores_table, task_table
 from tests.oracle_pipeline.reporting.recordings import manifest
 
-LOW, HIGH, NONE = 0.01, 0.5, np.nan
-RUNS = pd.DataFrame(
-    {
-        "run_id": [f"{mode}|run{n:03d}" for mode in ("attack", "normal") for n in range(3)],
-        "mode": ["attack"] * 3 + ["normal"] * 3,
-        "label": ["malicious"] * 3 + ["normal"] * 3,
-        "score": [9.0, 8.0, 7.0, 1.0, 0.0, -1.0],
-        "p": [LOW] * 3 + [HIGH] * 3,
-        "tampering_p": [LOW, LOW, HIGH, HIGH, LOW, NONE],
-        "misbehaviour_p": [HIGH, LOW, LOW, HIGH, NONE, NONE],
-        "effect": [0.5, 2.0, NONE, 1.0, 1.5, NONE],
-    }
-)
-
-
-def test_a_run_is_tampered_misbehaved_both_or_neither_by_its_two_p_values() -> None:
-    kinds = called_kinds(RUNS)
-    assert kinds[:4].tolist() == ["tampered", "both", "misbehaved", "neither"]
-    assert kinds[4:].isna().all()  # one p-value alone is no verdict
-
-
-def test_the_true_kind_follows_from_label_and_effect() -> None:
-    kinds = true_kinds(RUNS)
-    known = ["tampered", "both", "neither", "misbehaved"]
-    assert kinds[[0, 1, 3, 4]].tolist() == known
-    assert kinds[[2, 5]].isna().all()
-
-
-def test_unknown_kinds_are_not_counted() -> None:
-    assert counted(called_kinds(RUNS.assign(tampering_p=np.nan))) == ""
-    said = counted(true_kinds(RUNS))
-    assert said == "1 tampered only, 1 misbehaved only, 1 both, 1 neither"
-
-
-def test_the_plot_counts_the_kinds_of_each_mode() -> None:
-    plot = strip_plot(RUNS, standing(RUNS), lambda run: run)
-    assert plot is not None
-    assert plot.kinds == KINDS
-    assert {strip.mode: list(strip.kinds) for strip in plot.strips} == {
-        "attack": [1, 1, 1, 0],
-        "normal": [0, 0, 0, 1],
-    }
-    few = RUNS.assign(misbehaviour_p=np.nan)
-    without = strip_plot(few, standing(few), lambda run: run)
-    assert without is not None
-    assert (without.kinds, without.strips[0].kinds, without.strips[0].note) == ((), [], "3")
+NONE = np.nan
 
 
 def words(effect: float, **differences: float) -> str:
