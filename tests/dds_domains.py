@@ -1,11 +1,13 @@
 """A DDS domain for each test that needs one, on the loopback interface only."""
 
+import contextlib
 import os
 import random
 import time
 
 import pytest
 
+from oracle_pipeline.bags import dds
 from sim.outside import domains
 
 LOOPBACK = """
@@ -30,9 +32,14 @@ os.environ["CYCLONEDDS_URI"] = LOOPBACK  # before any domain is joined in this p
 NUMBERS = range(1, 102)
 
 
+@contextlib.contextmanager
 def a_free_domain():
-    """Return a context with the number of a domain that no other process has now."""
-    return domains.a_free_domain(random.SystemRandom().sample(NUMBERS, len(NUMBERS)))
+    """Yield the number of a domain that no other process has now, and leave it at the end."""
+    with domains.a_free_domain(random.SystemRandom().sample(NUMBERS, len(NUMBERS))) as number:
+        yield number
+        for participant in list(dds._joined):  # that are garbage, which others would still see
+            if participant.domain_id == number:
+                dds.leave(participant)
 
 
 @pytest.fixture
