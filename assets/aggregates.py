@@ -102,7 +102,7 @@ def keep(result: "Report", store: RunStore, name: str) -> dg.MaterializeResult[N
         result.save(folder)
     dg.get_dagster_logger().info(
         f"Saved {name} in {place}: a table of {len(result.table)} rows, {len(result.tables)} more "
-        f"tables, {len(result.figures)} pictures. `oracle_report` includes them."
+        "tables. `oracle_report` includes them."
     )
     return dg.MaterializeResult(
         data_version=dg.DataVersion(content_hash(result.table)),

@@ -137,7 +137,7 @@ def judge_recording(
             "path": dg.MetadataValue.path(str(page)),
             "url": dg.MetadataValue.url(f"{REPORT_PATH}/{page.name}"),
             "recordings": len(shown),
-            **presentation.pictures({"trend": scores} if scores else {}),
+            **presentation.picture(scores),
         },
         tags={"dagster/code_version": str(FOREIGN_REPORT.code_version)},
     )

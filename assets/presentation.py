@@ -116,18 +116,16 @@ def facts(summary: Mapping[str, float | int | str | bytes]) -> Metadata:
     }  # fmt: skip
 
 
-def pictures(named: Mapping[str, bytes]) -> Metadata:
-    """Return the first picture that is small enough for the event log."""
-    small = [data for data in named.values() if len(data) < MAX_PNG_BYTES]
-    return {"picture": png(small[0])} if small else {}
+def picture(data: bytes) -> Metadata:
+    """Return a picture if it is small enough for the event log."""
+    return {"picture": png(data)} if 0 < len(data) < MAX_PNG_BYTES else {}
 
 
 def report(result: "Report") -> Metadata:
-    """Return a report's facts, its table and one of its pictures."""
+    """Return a report's facts and its table."""
     return {
         **facts(result.summary),
         "table": table(result.table),
         "dagster/row_count": dg.MetadataValue.int(len(result.table)),
         "dagster/column_schema": dg.MetadataValue.table_schema(columns(result.table)),
-        **pictures(result.figures),
     }

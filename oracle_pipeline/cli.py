@@ -206,7 +206,6 @@ def _text(table: "Table", tables: "RecordingFeatures") -> str:
 def _json(table: "Table", tables: "RecordingFeatures") -> str:
     """Return the rows of a feature table, with NaN as null, and the notes on them."""
     from oracle_pipeline.datasets import MISSING, WHERE
-    from oracle_pipeline.features import families
 
     rows = [
         {
@@ -215,12 +214,7 @@ def _json(table: "Table", tables: "RecordingFeatures") -> str:
         }
         for row in table.rows()
     ]
-    document = {
-        "rows": rows,
-        "notes": tables.notes,
-        "families": families(tables),
-        "fields": table.fields,
-    }
+    document = {"rows": rows, "notes": tables.notes, "fields": table.fields}
     return json.dumps(document, indent=2, allow_nan=False)
 
 

@@ -9,6 +9,7 @@ from oracle_pipeline.detectors.base import OwnDetector
 
 _LEAST_WIDTH = 1.0  # of a range [scales]
 _MOST_WIDTHS = 3.0  # that one feature counts
+_EXPLAINED = 0.95  # share of the variance that the principal components keep
 _LEAST_USUAL = 1e-9  # so that rows without variance have a scale
 
 
@@ -64,20 +65,11 @@ class BeyondRange(OwnDetector):
 
 
 class PrincipalComponents(OwnDetector):
-    """Hotelling's T2 and the squared residual Q, each over its mean among normal runs, added.
-
-    Parameters
-    ----------
-    explained : float
-        Share of the variance that the components keep.
-    """
-
-    def __init__(self, explained: float = 0.95) -> None:
-        self.explained = explained
+    """Hotelling's T2 and the squared residual Q, each over its mean among normal runs, added."""
 
     def _learn(self, X: NDArray[np.float64]) -> None:
         with np.errstate(invalid="ignore"):  # equal rows explain no share of no variance
-            self.components_ = PCA(self.explained, svd_solver="full").fit(X)
+            self.components_ = PCA(_EXPLAINED, svd_solver="full").fit(X)
         self.usual_ = np.maximum(self._parts(X).mean(axis=0), _LEAST_USUAL)
 
     def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:

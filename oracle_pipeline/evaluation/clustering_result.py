@@ -8,8 +8,15 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.bootstrap import DistinctRuns, distinct_runs, lacking
-from oracle_pipeline.clustering.scores import hac_height, outside_largest
-from oracle_pipeline.clustering.tree import ClusteringError, Criterion, Linkage, Tree, grow_tree
+from oracle_pipeline.clustering.tree import (
+    ClusteringError,
+    Criterion,
+    Linkage,
+    Tree,
+    grow_tree,
+    hac_height,
+    outside_largest,
+)
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
 from oracle_pipeline.evaluation.metrics import (
     Confusion,

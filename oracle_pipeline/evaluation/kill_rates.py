@@ -34,9 +34,7 @@ REQUIRED = (*OPERATOR, "value", "changed_messages")
 DETECTABLE = 0.9  # detection rate from which a magnitude counts as detectable
 
 
-def kill_matrix(
-    campaign: MeasuredRuns, grid: MeasuredRuns, seed: int, rate: float = RATE
-) -> pd.DataFrame:
+def kill_matrix(campaign: MeasuredRuns, grid: MeasuredRuns, seed: int) -> pd.DataFrame:
     """Return which runs of a grid a reference card kills, by features alone.
 
     A card is learned once with hard negatives and once without (``split``), since an oracle that
@@ -51,8 +49,6 @@ def kill_matrix(
         ``value`` (magnitude, growing with strength) and ``changed_messages``.
     seed : int
         Of the split.
-    rate : float
-        False positive rate of the verdicts.
 
     Returns
     -------
@@ -79,14 +75,14 @@ def kill_matrix(
     runs = campaign.concat(grid)
     mutants = np.arange(len(runs.features)) >= len(campaign.features)
     fold = _fold(runs, mutants, seed)
-    check_support(calibration_runs([fold]), rate)
+    check_support(calibration_runs([fold]), RATE)
     splits = {BLOCK: [fold]}
     plain = without_hard_negatives(runs.features, [fold])
-    if is_hard_negative(campaign.features).any() and calibration_runs(plain) >= runs_needed(rate):
+    if is_hard_negative(campaign.features).any() and calibration_runs(plain) >= runs_needed(RATE):
         splits[HARMLESS] = plain
     tables = []
     for split, folds in splits.items():
-        killed = card_verdicts(runs, folds, rate=rate).scores().p[mutants] <= rate
+        killed = card_verdicts(runs, folds).scores().p[mutants] <= RATE
         tables.append(grid.features[[*REQUIRED, "block"]].assign(split=split, killed=killed))
     return pd.concat(tables, ignore_index=True)
 

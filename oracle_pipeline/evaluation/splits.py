@@ -37,8 +37,11 @@ class Fold:
         return Fold(self.fit[rows], self.calibrate[rows], self.test[rows], self.train[rows])
 
 
-def block_folds(df: pd.DataFrame, seed: int, n_folds: int = FOLDS) -> list[Fold]:
+def block_folds(df: pd.DataFrame, seed: int) -> list[Fold]:
     """Return folds that each hold out a share of the blocks, with sessions spread evenly.
+
+    There are `FOLDS`. With fewer blocks, each block is a fold; with fewer than three, there are no
+    folds.
 
     Parameters
     ----------
@@ -46,13 +49,10 @@ def block_folds(df: pd.DataFrame, seed: int, n_folds: int = FOLDS) -> list[Fold]
         One row for each run.
     seed : int
         Of the assignment of blocks to folds.
-    n_folds : int
-        Largest number of folds. With fewer blocks, each block is a fold; with fewer than three
-        blocks, there are no folds.
     """
     rng = np.random.default_rng(seed)
-    group = _assign_blocks(df, np.ones(len(df), dtype=np.bool_), n_folds, rng)
-    return _folds(df, [group == n for n in range(n_folds)], rng)
+    group = _assign_blocks(df, np.ones(len(df), dtype=np.bool_), FOLDS, rng)
+    return _folds(df, [group == n for n in range(FOLDS)], rng)
 
 
 def group_folds(df: pd.DataFrame, column: Literal["session", "world"], seed: int) -> list[Fold]:

@@ -16,13 +16,7 @@ from oracle_pipeline.features.engine.plugin import (
     Window,
     hookimpl,
 )
-from oracle_pipeline.features.engine.tables import (
-    FeatureTables,
-    RecordingFeatures,
-    Table,
-    families,
-    together,
-)
+from oracle_pipeline.features.engine.tables import FeatureTables, RecordingFeatures, Table, together
 from oracle_pipeline.features.extraction import compute, extract, measure, write
 from oracle_pipeline.features.manager import FeatureManager, build_manager
 
@@ -44,7 +38,6 @@ __all__ = [
     "build_manager",
     "compute",
     "extract",
-    "families",
     "hookimpl",
     "measure",
     "together",

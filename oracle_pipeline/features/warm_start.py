@@ -8,6 +8,7 @@ import gc
 
 import networkx  # noqa: F401 -- of graphs, imported where it is used
 import pandas  # noqa: F401 -- of the tables, likewise
+import scipy.ndimage  # noqa: F401 -- of maps, likewise
 from numba.core.registry import cpu_target
 
 from oracle_pipeline.bags.types import typestore

@@ -1,13 +1,23 @@
-"""Where a watch gets its messages from."""
+"""Where a watch gets its messages from, and whether its machine is too busy for their times.
 
+Then messages are late here; and if the robot's programs are on the same machine, they are late
+there, too. A program that computes starves sooner than the watch, which mostly sleeps, so the
+pressure that Linux measures counts as well (``/proc/pressure/cpu``).
+"""
+
+import contextlib
 from abc import ABC, abstractmethod
+from pathlib import Path
+from time import monotonic, sleep
 from typing import Any
 
 from oracle_pipeline.bags.discovery import Discovery
 from oracle_pipeline.live.intake import Intake
-from oracle_pipeline.live.machine import Machine
 
 _PAUSE_S = 0.05  # between two reads of the queue; waking up for each message costs more
+_LATE_S = 0.05  # by which a pause is too long, at least
+_SHARE = 0.75  # of a second, in which some program waits for a processor
+_EVERY_S = 1.0
 
 
 class Source(ABC):
@@ -23,7 +33,7 @@ class Source(ABC):
 
     def __init__(self, facts: dict[str, Any], discovery: Discovery, intake: Intake) -> None:
         self.facts, self.discovery, self.intake = facts, discovery, intake
-        self._machine = Machine()
+        self._machine = _Machine()
 
     def pause(self) -> bool:
         """Let messages come; return whether the machine is too busy for their times to count."""
@@ -36,3 +46,28 @@ class Source(ABC):
     @abstractmethod
     def close(self) -> None:
         """Stop receiving, and leave."""
+
+
+class _Machine:
+    """Measures a machine while the watch pauses."""
+
+    def __init__(self) -> None:
+        self._is_crowded = False
+        self._measured_s, self._waited_s = monotonic(), _waited_s()
+
+    def pause(self, seconds: float) -> bool:
+        """Let others work, and return whether the machine is too busy."""
+        began_s = monotonic()
+        sleep(seconds)
+        now_s = monotonic()
+        if (passed_s := now_s - self._measured_s) >= _EVERY_S:
+            before_s, self._waited_s, self._measured_s = self._waited_s, _waited_s(), now_s
+            self._is_crowded = self._waited_s - before_s > _SHARE * passed_s
+        return self._is_crowded or now_s - began_s - seconds > _LATE_S
+
+
+def _waited_s() -> float:
+    """Return for how long some program has waited for a processor; 0 if it is not known."""
+    with contextlib.suppress(OSError, IndexError):
+        return int(Path("/proc/pressure/cpu").read_text().split("total=")[1].split()[0]) * 1e-6
+    return 0.0

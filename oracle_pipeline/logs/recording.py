@@ -1,7 +1,8 @@
 """Write a log as a rosbag2, with a ROS type where the columns are those of one."""
 
+import functools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,22 @@ from oracle_pipeline.logs.log import Log, LogError, LogTopic
 
 _CDR = np.frombuffer(b"\x00\x01\x00\x00", np.uint8)  # encapsulation: CDR, little-endian
 _ROWS = 4096  # messages written at once
+
+# The first that fits counts: a table of `linear` and `angular` is a Twist rather than an Accel.
+_CANDIDATES = (
+    "nav_msgs/msg/Odometry",
+    "sensor_msgs/msg/Imu",
+    "sensor_msgs/msg/NavSatFix",
+    "sensor_msgs/msg/MagneticField",
+    "sensor_msgs/msg/Range",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/TwistStamped",
+    "geometry_msgs/msg/WrenchStamped",
+    "geometry_msgs/msg/Pose",
+    "geometry_msgs/msg/Twist",
+    "geometry_msgs/msg/Wrench",
+)
 
 
 def write_bag(log: Log, bag: Path) -> None:
@@ -134,3 +151,25 @@ def numeric_paths(msgtype: str) -> Iterator[str]:
             yield from (f"{name}.{path}" for path in numeric_paths(str(detail)))
         elif node == Nodetype.ARRAY or (node == Nodetype.BASE and detail[0] != "string"):
             yield name
+
+
+def guessed_type(columns: Mapping[str, Any]) -> str:
+    """Return the type whose fields the columns are; empty if there is none.
+
+    All numbers of the type must be there but for covariances and the header, and the table must
+    have no other columns. ROS 1's names of the header count.
+    """
+    names = {name for name in columns if not name.startswith("header.")}
+    for msgtype in _CANDIDATES:
+        required, known = _fields(msgtype)
+        if required <= names <= known:
+            return msgtype
+    return ""
+
+
+@functools.cache
+def _fields(msgtype: str) -> tuple[frozenset[str], frozenset[str]]:
+    """Return the fields that a table of a type must have, and all that it may have."""
+    paths = frozenset(p for p in numeric_paths(msgtype) if not p.startswith("header."))
+    optional = {p for p in paths if "covariance" in p or p.startswith("status.")}
+    return paths - optional, paths

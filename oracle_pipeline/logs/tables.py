@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.logs.files import tables_in
 from oracle_pipeline.logs.layout import SECONDS, Layout, TopicLayout, factor, find_layout
 from oracle_pipeline.logs.log import Log, LogError, LogTopic, grouped, reading
-from oracle_pipeline.logs.types import guessed_type
+from oracle_pipeline.logs.recording import guessed_type
 
 _TIMES = re.compile(
     r"%?(?:time|timestamp|stamp|t|elapsed|seconds|sec|secs|date|datetime)"

@@ -29,7 +29,7 @@ def evaluation_report(evaluation: CampaignEvaluation) -> Report:
     ``open_claims``, ``runs``, ``raised``, ``standing`` and, with a grid, ``kills``,
     ``mutation_scores`` and ``minimum_detectable``.
     """
-    return Report(evaluation.table, {}, _summary(evaluation), _tables(evaluation))
+    return Report(evaluation.table, _summary(evaluation), _tables(evaluation))
 
 
 def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:

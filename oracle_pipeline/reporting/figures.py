@@ -4,8 +4,6 @@ Pictures are transparent, in colours with equal contrast to white and to near-bl
 readable in light and dark mode. Labels differ in marker as well as in colour. Nothing depends on
 the clock, files or the user's Matplotlib settings: the same numbers give the same bytes.
 
-Charts of an evaluation are drawn in ``oracle_pipeline.reporting.charts``: what draws a recording
-starts without the evaluation.
 """
 
 from collections.abc import Iterator

@@ -6,25 +6,31 @@ of runs.
 """
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any, TypeAlias
 
+import numpy as np
 import pandas as pd
 
-from oracle_pipeline.datasets import content_hash, replacing
+from oracle_pipeline.datasets import content_hash, is_malicious, replacing
 from oracle_pipeline.evaluation.comparisons import ALL_MODES, HARD_NEGATIVES, HEADLINE
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.metrics import RESAMPLES
 from oracle_pipeline.evaluation.splits import BLOCK
-from oracle_pipeline.reporting.first_screen import Recorder, first_screen
 from oracle_pipeline.reporting.searched import Searched
 from oracle_pipeline.reporting.stored_report import Report
+from oracle_pipeline.reporting.strip_plot import strip_plot
 from oracle_pipeline.reporting.tables import PageTable, plain_table, table
-from oracle_pipeline.reporting.templating import Picture, picture, template
+from oracle_pipeline.reporting.templating import run_page, template
 
 LIBRARIES = ("numpy", "scipy", "scikit-learn", "pandas", "networkx", "matplotlib", "mujoco")
 NO_STORAGE = pd.DataFrame()
+HIGHEST = 3  # number of runs with the highest scores to list
+
+# Takes modes and blocks; returns the command that records them.
+Recorder: TypeAlias = Callable[[Sequence[str], int], str]
 
 
 def render(
@@ -61,7 +67,7 @@ def render(
     """
     thesis = {"grid": grid, "rates": rates, "pairs": pairs, "side_by_side": side_by_side}
     return template("report.html.j2").render(
-        screen=first_screen(evaluation, record),
+        screen=_first_screen(evaluation, record),
         arrived=arrived,
         scorer=evaluation.summary["scorer"],
         checks=evaluation.tables["checks"].to_dict("records"),
@@ -71,11 +77,44 @@ def render(
             **{name: table(name, report.table) for name, report in thesis.items()},
             "storage": plain_table("Storage", storage),
         },
-        trees=_dendrograms(grid),
         warning=side_by_side.summary["warning"],
         reading=_thesis_reading(pairs.table.iloc[0]),
         provenance={**provenance, **_draws(pairs, evaluation)},
     )
+
+
+def _first_screen(evaluation: Report, record: Recorder) -> dict[str, Any]:
+    """Return what the first screen shows: recorded runs, results, and open claims."""
+    runs, claims = evaluation.tables["runs"], evaluation.tables["open_claims"]
+    scored = runs[np.isfinite(runs["score"])].sort_values("score", ascending=False)
+    return {
+        "answer": evaluation.summary["headline"],
+        "recorded": _recorded(runs, int(evaluation.summary["left_out"])),
+        "verdicts": evaluation.summary["verdicts"],
+        "highest": scored.head(HIGHEST).to_dict("records"),
+        "highest_normal": next(iter(scored[~is_malicious(scored)].to_dict("records")), None),
+        "claims": [
+            (claim, record(claim["modes"].split(), claim["blocks"]) if claim["blocks"] else "")
+            for claim in claims.to_dict("records")
+        ],
+        "plot": strip_plot(runs, evaluation.tables["standing"], run_page),
+    }
+
+
+def _recorded(runs: pd.DataFrame, left_out: int) -> str:
+    """Return sentences on the number of runs, modes and hours."""
+    attacked = int(is_malicious(runs).sum())
+    hours = runs["recording_s"].sum() / 3600.0
+    of = [_count(runs[noun].nunique(), noun) for noun in ("mode", "block", "session", "world")]
+    rest = f" {_count(left_out, 'more run')} ended before the onset: left out." if left_out else ""
+    return (
+        f"{_count(len(runs), 'run')}: {attacked} attacked, {len(runs) - attacked} normal. "
+        f"{', '.join(of)}, {hours:.1f} hours.{rest}"
+    )
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def write_page(page: str, path: Path) -> None:
@@ -124,11 +163,3 @@ def _thesis_reading(row: pd.Series) -> str:
         f"On these runs it contains {recall} of the malicious rows and {fpr} of the others; "
         f"in the thesis {row['thesis_recall']:.3f} and {row['thesis_fpr']:.3f}."
     )
-
-
-def _dendrograms(report: Report) -> list[Picture]:
-    return [
-        picture(f"Dendrogram, {of}", of, png)
-        for name, png in sorted(report.figures.items())
-        if (of := name.removeprefix("dendrogram_")) != name
-    ]

@@ -15,7 +15,7 @@ import pandas as pd
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.scratch import replaced_folder
-from oracle_pipeline.detectors import Deviation, by_family
+from oracle_pipeline.detectors import Deviation
 from oracle_pipeline.evaluation.card_verdicts import RATE
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.reporting.stored_report import Report
@@ -23,7 +23,6 @@ from oracle_pipeline.reporting.tables import PageTable, evidence_table, table
 from oracle_pipeline.reporting.templating import Picture, run_page, run_picture, template
 from oracle_pipeline.reporting.two_scores import scores_table, task_table
 from oracle_pipeline.scoring.evidence import farthest_features
-from oracle_pipeline.scoring.feature_sets import feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 UP = "../../"  # from a run's page to the folder of the report
@@ -79,7 +78,6 @@ def _pages(shown: ShownRuns) -> Iterator[tuple[str, str]]:
     features = measured.features
     blocks = features.groupby("block")["run_id"].agg(list)
     windows_of = np.split(np.arange(len(measured.run)), np.cumsum(measured.counts)[:-1])
-    columns = feature_sets(features).get("all", [])
     judged = results["runs"].merge(results["task_differences"], on="run_id").set_index("run_id")
     judged["rank"] = judged["score"].rank(ascending=False)
     scored = int(judged["score"].notna().sum())
@@ -109,7 +107,6 @@ def _pages(shown: ShownRuns) -> Iterator[tuple[str, str]]:
                 evidence=evidence_table(
                     f"What is unusual in {run}", farthest_features(deviations, tables)
                 ),
-                families=_families(deviations, columns),
                 film=_film(shown.path(run), shown.film),
                 replay=f"oracle replay {shlex.quote(str(shown.path(run)))}",
                 beside=[other for other in blocks[row["block"].iloc[0]] if other != run],
@@ -142,15 +139,6 @@ def _goals(manifest: Manifest) -> PageTable:
     """Return the result of each goal."""
     results = pd.DataFrame(manifest.goal_results)
     return table("goals", results.assign(goal=np.arange(1, len(results) + 1)))
-
-
-def _families(deviations: Sequence[Deviation], columns: Sequence[str]) -> PageTable:
-    """Return how many features of each family are unusual."""
-    families = pd.DataFrame(by_family(deviations, columns))
-    if len(families):
-        outside = families["unusual"].astype(str) + " of " + families["compared"].astype(str)
-        families = families.assign(outside=outside)
-    return table("unusual_families", families)
 
 
 def _film(path: Path, name: str) -> str:

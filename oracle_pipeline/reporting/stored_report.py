@@ -1,4 +1,4 @@
-"""A report: tables, pictures and a few facts, stored together in one folder."""
+"""A report: tables and a few facts, stored together in one folder."""
 
 import json
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from oracle_pipeline.bags.scratch import replaced_folder
 from oracle_pipeline.datasets import read_table, write_table
 from oracle_pipeline.evaluation.estimate import Estimate
 
-TABLE, TABLES, FIGURES, SUMMARY = "table.parquet", "tables", "figures", "summary.json"
+TABLE, TABLES, SUMMARY = "table.parquet", "tables", "summary.json"
 _SEAL = "seal"  # a key of the summary's file
 
 
@@ -27,7 +27,6 @@ class Report:
     """The content of one report."""
 
     table: pd.DataFrame
-    figures: Mapping[str, bytes]  # PNG by name
     summary: Mapping[str, float | int | str]  # JSON values only, no NaN
     tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)  # further ones, by name
 
@@ -37,12 +36,9 @@ class Report:
         The report is written to a sibling path and renamed, so that no reader sees half of it.
         """
         with replaced_folder(directory) as new:
-            (new / FIGURES).mkdir()
             write_table(self.table, new / TABLE)
             for name, table in self.tables.items():
                 write_table(table, new / TABLES / f"{name}.parquet")
-            for name, png in self.figures.items():
-                (new / FIGURES / f"{name}.png").write_bytes(png)
             document = {**self.summary, _SEAL: seals.BLANK}
             text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
             summary = bytearray(text.encode())
@@ -68,13 +64,10 @@ class Report:
         if seals.check(content) == "wrong":
             raise ReportError(f"{directory / SUMMARY} is damaged; materialize the report again.")
         summary.pop(_SEAL, None)  # a report of an older release has none
-        figures = {
-            png.stem: png.read_bytes() for png in sorted((directory / FIGURES).glob("*.png"))
-        }
         tables = {
             path.stem: read_table(path) for path in sorted((directory / TABLES).glob("*.parquet"))
         }
-        return cls(read_table(directory / TABLE), figures, summary, tables)
+        return cls(read_table(directory / TABLE), summary, tables)
 
 
 def facts(name: str, estimate: Estimate) -> dict[str, float | str]:

@@ -31,7 +31,7 @@ class _PageCell(NamedTuple):
     interval: str = ""
 
 
-class PageColumn(NamedTuple):
+class _PageColumn(NamedTuple):
     """One column of a table, below a group heading."""
 
     title: str
@@ -45,7 +45,7 @@ class PageTable(NamedTuple):
 
     caption: str
     groups: Sequence[tuple[str, int]]  # heading, columns below it
-    columns: Sequence[PageColumn]
+    columns: Sequence[_PageColumn]
     rows: Sequence[Sequence[_PageCell]]
     notes: Sequence[str] = ()  # the column of notes has their numbers
     links: Sequence[str] = ()  # of the first cell of each row
@@ -56,9 +56,7 @@ class PageTable(NamedTuple):
         yield from aligned_lines([[column.title for column in self.columns], *cells], indent="    ")
 
 
-def table(
-    name: str, df: pd.DataFrame, more: Iterable[PageColumn] = (), links: Sequence[str] = ()
-) -> PageTable:
+def table(name: str, df: pd.DataFrame, links: Sequence[str] = ()) -> PageTable:
     """Return the declared table of that name, with those of its columns that have any value.
 
     Parameters
@@ -67,18 +65,16 @@ def table(
         In ``tables.yaml``.
     df : DataFrame
         An estimate has three columns (`Estimate.of_row`).
-    more : iterable of PageColumn
-        Columns after the declared ones.
     links : sequence of str
         A link for the first cell of each row.
     """
     caption, columns = _layouts()[name]
-    return _filled(caption, df, [*columns, *more], links)
+    return _filled(caption, df, columns, links)
 
 
 def plain_table(caption: str, df: pd.DataFrame) -> PageTable:
     """Return a table with all of its columns under their own names."""
-    columns = [PageColumn(str(name).replace("_", " "), str(name)) for name in df.columns]
+    columns = [_PageColumn(str(name).replace("_", " "), str(name)) for name in df.columns]
     return _filled(caption, df, columns)
 
 
@@ -88,7 +84,7 @@ def evidence_table(caption: str, evidence: Iterable[Evidence]) -> PageTable:
 
 
 @functools.cache
-def _layouts() -> dict[str, tuple[str, list[PageColumn]]]:
+def _layouts() -> dict[str, tuple[str, list[_PageColumn]]]:
     declared = yaml.safe_load(_LAYOUTS.read_text("utf-8"))
     return {
         name: (layout["caption"], [c for part in layout["columns"] for c in _columns(part)])
@@ -97,17 +93,17 @@ def _layouts() -> dict[str, tuple[str, list[PageColumn]]]:
     }
 
 
-def _columns(declared: Mapping[str, Any], group: str = "") -> Iterator[PageColumn]:
+def _columns(declared: Mapping[str, Any], group: str = "") -> Iterator[_PageColumn]:
     for title, field in declared.items():
         if isinstance(field, dict):
             yield from _columns(field, title)
         else:
             name, spec = field if isinstance(field, list) else (field, "")
-            yield PageColumn(title, name, group, spec)
+            yield _PageColumn(title, name, group, spec)
 
 
 def _filled(
-    caption: str, df: pd.DataFrame, columns: Sequence[PageColumn], links: Sequence[str] = ()
+    caption: str, df: pd.DataFrame, columns: Sequence[_PageColumn], links: Sequence[str] = ()
 ) -> PageTable:
     shown = [column for column in columns if _has_values(df, column.name)]
     groups = [(name, len(list(members))) for name, members in groupby(shown, lambda c: c.group)]
@@ -124,7 +120,7 @@ def _has_values(df: pd.DataFrame, name: str) -> bool:
     return name in df.columns and bool((df[name].notna() & (df[name] != "")).any())
 
 
-def _cell(row: pd.Series, column: PageColumn) -> _PageCell:
+def _cell(row: pd.Series, column: _PageColumn) -> _PageCell:
     value = row[column.name]
     if f"{column.name}_low" in row.index:
         text, _, interval = f"{Estimate.of_row(row, column.name):{column.spec}}".partition(" ")

@@ -1,8 +1,8 @@
-"""Reports on the thesis's method: from feature tables to a `Report` of tables, pictures and facts.
+"""Reports on the thesis's method: from feature tables to a `Report` of tables and facts.
 
 The first four apply one variant of the thesis's method, which draws copies of runs and clusters
 them. `side_by_side` compares both variants with the printed results. Tables are built in
-``thesis_tables``, dendrograms in ``charts``; our own evaluation is in ``evaluation_report``.
+``thesis_tables``; our own evaluation is in ``evaluation_report``.
 """
 
 from collections.abc import Sequence
@@ -11,11 +11,9 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bootstrap import distinct_runs, lacking
-from oracle_pipeline.clustering.tree import LINKAGES, ClusteringError
 from oracle_pipeline.datasets import content_hash, is_malicious
-from oracle_pipeline.evaluation.clustering_result import grow_over_rows
 from oracle_pipeline.evaluation.variants import VARIANTS, MethodVariant, VariantName
-from oracle_pipeline.reporting import charts, thesis_tables
+from oracle_pipeline.reporting import thesis_tables
 from oracle_pipeline.reporting.stored_report import Report
 from oracle_pipeline.reporting.thesis_tables import Bootstraps
 
@@ -58,7 +56,7 @@ def bootstrapped_dataset(
         "content_hash": content_hash(rows),
         "note": lacks,
     }
-    return Report(rows, {}, summary | _variant_facts(by))
+    return Report(rows, summary | _variant_facts(by))
 
 
 def _variant_facts(variant: MethodVariant) -> dict[str, float | int | str]:
@@ -85,15 +83,8 @@ def clustering_grid_search(
     by = VARIANTS[variant]
     rng = np.random.default_rng(SEED)
     table = thesis_tables.grid_search_table(rows, rng, by, thresholds)
-    pictures: dict[str, bytes] = {}
-    for method in LINKAGES:
-        try:
-            tree = grow_over_rows(rows, by.columns(rows, "all"), method, by)
-        except ClusteringError:
-            continue  # its rows in the table give the reason
-        pictures[f"dendrogram_{method}"] = charts.dendrogram(tree, list(rows["label"]))
     summary: dict[str, float | int | str] = {"settings": len(table), "note": lacking(rows)}
-    return Report(table, pictures, summary | _variant_facts(by))
+    return Report(table, summary | _variant_facts(by))
 
 
 def malicious_rate_report(
@@ -113,7 +104,7 @@ def malicious_rate_report(
     drawn = Bootstraps(n, MALICIOUS_RATE, seed, np.random.default_rng(seed), by)
     table = thesis_tables.malicious_rate_table(df, drawn)
     summary: dict[str, float | int | str] = {"rows": n, "seed": seed, "note": lacking(df)}
-    return Report(table, {}, summary | _variant_facts(by))
+    return Report(table, summary | _variant_facts(by))
 
 
 def pairwise_report(
@@ -136,7 +127,7 @@ def pairwise_report(
         "malicious_rate": malicious_rate,
         "seed": seed,
     }
-    return Report(table, {}, summary | _variant_facts(by))
+    return Report(table, summary | _variant_facts(by))
 
 
 def side_by_side(
@@ -156,4 +147,4 @@ def side_by_side(
         "note": lacking(df),
         "warning": THESIS_WARNING,
     }
-    return Report(table, {}, summary)
+    return Report(table, summary)

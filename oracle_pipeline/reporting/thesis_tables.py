@@ -93,12 +93,10 @@ class Bootstraps:
         return cluster_and_judge(rows, columns, self.rng, variant=self.method)
 
 
-def malicious_rate_table(
-    df: pd.DataFrame, drawn: Bootstraps, rates: Sequence[float] = MALICIOUS_RATES
-) -> pd.DataFrame:
+def malicious_rate_table(df: pd.DataFrame, drawn: Bootstraps) -> pd.DataFrame:
     """Cluster bootstraps with different shares of malicious rows (the thesis's table 6.1)."""
     table = []
-    for rate in rates:
+    for rate in MALICIOUS_RATES:
         result = replace(drawn, malicious_rate=rate).result(df, "all")
         table.append({"malicious_rate": rate} | result.columns() | _thesis_columns(RATES.get(rate)))
     return pd.DataFrame(table)

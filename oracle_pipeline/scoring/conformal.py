@@ -21,11 +21,7 @@ class ConformalError(OracleError):
     """There are too few calibration runs for the requested false positive rate."""
 
 
-def p_values(
-    calibration: NDArray[np.float64],
-    scores: NDArray[np.float64],
-    blocks: NDArray[np.int64] | None = None,
-) -> NDArray[np.float64]:
+def p_values(calibration: NDArray[np.float64], scores: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return ``(1 + #{calibration >= score}) / (n + 1)`` for each score.
 
     Parameters
@@ -33,10 +29,6 @@ def p_values(
     calibration : ndarray of shape (n,)
         Scores of runs that the detector was not fitted on.
     scores : ndarray of shape (m,)
-    blocks : ndarray of shape (n,), optional
-        Block of each calibration run. If given, each block counts once, as the share of its runs,
-        and ``n`` is the number of blocks. Runs of one block resemble each other, so only blocks are
-        exchangeable [1]_.
 
     Returns
     -------
@@ -48,33 +40,19 @@ def p_values(
     ConformalError
         A score is not a finite number.
 
-    References
-    ----------
-    .. [1] Y. Lee, R. F. Barber, R. Willett, "Distribution-free inference with hierarchical data",
-       2023.
-
     Examples
     --------
     >>> p_values(np.array([1.0, 2.0, 3.0]), np.array([0.5, 2.0, 9.0]))
     array([1.  , 0.75, 0.25])
-    >>> p_values(np.array([1.0, 2.0, 3.0]), np.array([2.0]), np.array([0, 0, 1]))
-    array([0.83333333])
     """
     if not (np.isfinite(calibration).all() and np.isfinite(scores).all()):
         raise ConformalError(
             "A score is not a finite number, so it cannot be ranked; look for a feature that has "
             "no finite value in the runs that the detector was fitted on."
         )
-    _, block, runs = np.unique(
-        np.arange(len(calibration)) if blocks is None else blocks,
-        return_inverse=True,
-        return_counts=True,
-    )
-    order = np.argsort(calibration)
-    from_top = np.append(0.0, np.cumsum((1.0 / runs)[block][order[::-1]]))
-    below = np.searchsorted(calibration[order], scores, side="left")
-    at_least = np.minimum(from_top[len(calibration) - below], len(runs))  # against rounding errors
-    return np.asarray((1.0 + at_least) / (len(runs) + 1.0), dtype=np.float64)
+    n = len(calibration)
+    at_least = n - np.searchsorted(np.sort(calibration), scores, side="left")
+    return np.asarray((1.0 + at_least) / (n + 1.0), dtype=np.float64)
 
 
 def runs_needed(rate: float) -> int:

@@ -31,7 +31,7 @@ def test_red_fails_unsupported_warns_and_green_passes(tmp_path: Path) -> None:
         | figures
         for spec in CHECKS
     ]
-    report = Report(pd.DataFrame(), {}, {}, {"checks": pd.DataFrame(checks)})
+    report = Report(pd.DataFrame(), {}, {"checks": pd.DataFrame(checks)})
     report.save(RunStore(root=str(tmp_path)).results(EVALUATION))
     found = {e.check_name: e for e in shown(tmp_path).get_asset_check_evaluations()}
     assert set(found) == {spec.name for spec in CHECKS}

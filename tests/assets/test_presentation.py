@@ -25,14 +25,16 @@ TABLE = pd.DataFrame(
 TABLE.attrs["fields"] = {"mcc": {"unit": "1", "description": "Matthews correlation"}}
 
 
-def test_a_report_is_facts_table_and_one_picture_that_fits() -> None:
-    large, small = b"x" * presentation.MAX_PNG_BYTES, b"small"
+def test_a_picture_is_shown_if_it_is_small() -> None:
+    assert presentation.picture(b"x" * presentation.MAX_PNG_BYTES) == {}
+    shown = presentation.picture(b"small")["picture"].value
+    assert isinstance(shown, str)
+    assert base64.b64encode(b"small").decode() in shown
+
+
+def test_a_report_is_facts_and_a_table() -> None:
     shown = presentation.report(
-        Report(
-            TABLE,
-            {"large": large, "small": small},
-            {"runs": 2, "auc": 0.5, "note": "few", "left_out": ""},
-        )
+        Report(TABLE, {"runs": 2, "auc": 0.5, "note": "few", "left_out": ""})
     )
     assert "left_out" not in shown
     assert (shown["runs"], shown["auc"], shown["note"]) == (
@@ -40,9 +42,6 @@ def test_a_report_is_facts_table_and_one_picture_that_fits() -> None:
         dg.MetadataValue.float(0.5),
         dg.MetadataValue.text("few"),
     )
-    picture = shown["picture"].value
-    assert isinstance(picture, str)
-    assert base64.b64encode(small).decode() in picture
 
 
 def test_a_picture_among_facts_shows_inline() -> None:

@@ -2,13 +2,17 @@
 
 import itertools
 from collections.abc import Iterator
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
+from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.bags.merging import Messages
 from oracle_pipeline.features.engine.kept_topic import KeptTopic
-from oracle_pipeline.features.engine.sampling import Sampler
 from oracle_pipeline.features.engine.spans import Integers
+
+Bools: TypeAlias = NDArray[np.bool_]
 
 _MOST_WAITING = 16 * 2**20  # bytes of messages that wait to be decoded together
 
@@ -28,7 +32,7 @@ class MessagePass:
         self._topics = topics
         self._start_ns = start_ns
         self._samplers = {
-            period_ns: Sampler(
+            period_ns: _Sampler(
                 period_ns, np.array([period_ns in each.by_period for each in topics], np.bool_)
             )
             for period_ns in sorted({period for topic in topics for period in topic.by_period})
@@ -82,3 +86,47 @@ def _portions(rows: Integers, sizes: Integers) -> list[Integers]:
     if sizes.sum() <= _MOST_WAITING:
         return [rows]
     return np.split(rows, np.flatnonzero(np.diff(np.cumsum(sizes) // _MOST_WAITING)) + 1)
+
+
+class _Sampler:
+    """Samples the messages of some topics at one rate.
+
+    Parameters
+    ----------
+    period_ns : int
+        Length of the spans [ns]; 0 samples every message.
+    is_sampled : ndarray of shape (n_topics,)
+        Which topics are sampled.
+    """
+
+    def __init__(self, period_ns: int, is_sampled: Bools) -> None:
+        self._period_ns = period_ns
+        self._is_sampled = is_sampled
+        self._last_span = np.full(len(is_sampled), -1)
+
+    def due(self, topics: Integers, since_start_ns: Integers) -> Bools:
+        """Return which messages of a batch are sampled; its messages are by topic and time.
+
+        Parameters
+        ----------
+        topics : ndarray of shape (n,)
+            Numbers of the messages' topics.
+        since_start_ns : ndarray of shape (n,)
+            Stamps of the messages, since the start of the recording.
+        """
+        return _due(topics, since_start_ns, self._period_ns, self._is_sampled, self._last_span)
+
+
+@jit
+def _due(
+    topics: Integers, since_start_ns: Integers, period_ns: int, is_sampled: Bools, last: Integers
+) -> Bools:
+    """Return which messages are the first in their span; ``last`` are the topics' last spans."""
+    is_due = np.zeros(len(topics), np.bool_)
+    for i in range(len(topics)):
+        topic = topics[i]
+        if is_sampled[topic]:
+            span = since_start_ns[i] // period_ns if period_ns else 0
+            is_due[i] = period_ns == 0 or span != last[topic]
+            last[topic] = span
+    return is_due

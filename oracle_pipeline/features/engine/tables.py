@@ -3,12 +3,10 @@
 pandas takes longer to import than a short recording takes to read, so printing avoids it.
 """
 
-import json
 import math
 from collections import ChainMap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -83,23 +81,6 @@ def together(robots: Sequence[RecordingFeatures]) -> RecordingFeatures:
         _below([measured.windows for measured in robots]),
         tuple(notes),
     )
-
-
-def families(measured: RecordingFeatures) -> dict[str, dict[str, Any]]:
-    """Return, for each family, the number of computed features and the reasons for missing ones."""
-    summary: dict[str, dict[str, Any]] = {}
-    reasons = [json.loads(text) for text in measured.run.columns[MISSING]]
-    features = [column for column in measured.run.columns if "." in column]
-    for column, missing in product(features, reasons):
-        family = summary.setdefault(
-            column.partition(".")[0], {"computed": 0, "of": 0, "missing": []}
-        )
-        family["of"] += 1
-        if column not in missing:
-            family["computed"] += 1
-        elif missing[column] not in family["missing"]:
-            family["missing"].append(missing[column])
-    return summary
 
 
 def _below(tables: Sequence[Table]) -> Table:

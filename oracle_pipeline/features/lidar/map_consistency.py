@@ -25,7 +25,6 @@ from oracle_pipeline.features.engine.plugin import (
     hookimpl,
     sole_series,
 )
-from oracle_pipeline.features.geometry.clearance import clearance
 from oracle_pipeline.features.geometry.grid_hits import CELL_M, MOST_HITS, HitCounter, Hits
 from oracle_pipeline.features.geometry.odometry_path import OdometryPath
 from oracle_pipeline.features.geometry.planar_pose import PlanarPose, PosePath
@@ -87,9 +86,12 @@ class Map:
     @classmethod
     def of(cls, grid: "MapGrid") -> "Map":
         """Prepare a grid; everything outside its border is unknown."""
+        from scipy.ndimage import distance_transform_edt  # many recordings have no map
+
         cells = np.pad(grid.cells, 1, constant_values=-1)
         solid = cells >= _OCCUPIED
-        return cls(grid.pose, grid.resolution, clearance(solid | (cells < 0)), solid)
+        clearance = distance_transform_edt((cells >= 0) & ~solid).astype(np.float32)
+        return cls(grid.pose, grid.resolution, clearance, solid)
 
     def cast(self, origins: Points, directions: Points) -> Floats:
         """Return the distances along rays to the first solid cell [m].

@@ -182,10 +182,10 @@ def _apart(stamps_s: Floats, earlier_s: float) -> tuple[Ints, Ints]:
 
 @dataclass(frozen=True, slots=True)
 class _Path:
-    """When the robot was last in each cell that it drove through: a table, found by its hash."""
+    """When the robot was last in each cell that it drove through; the first entry is no cell."""
 
     corner: complex  # of cell (0, 0), in the odometry frame
-    cells: Ints  # both numbers of a cell as one, at its place; -1 at free places
+    cells: Ints  # both numbers of a cell as one, ascending
     last_s: Floats  # stamp
 
     @classmethod
@@ -199,52 +199,25 @@ class _Path:
         near = (np.abs(places.real) < _FARTHEST) & (np.abs(places.imag) < _FARTHEST)  # no NaN
         places, steps_s = places[near], steps_s[near]
         corner = complex(places.real.min(initial=np.inf), places.imag.min(initial=np.inf))
-        return cls(corner, *_followed((places - corner) / _CELL_M, steps_s))
+        cells = np.append(_cells(places - corner), -1)[::-1]  # the last stay in a cell first
+        cells, last = np.unique(cells, return_index=True)
+        return cls(corner, cells, np.append(steps_s, -np.inf)[::-1][last])
 
     def crossed(self, world: Points, stamps_s: Floats) -> Bools:
         """Return which scans have returns where the robot drove across later, shape (n,)."""
-        return _crossed(
-            (world - self.corner) / _CELL_M, stamps_s, self.cells, self.last_s
-        ) >= _FEWEST  # fmt: skip
+        cells = _cells(world - self.corner)
+        found = np.minimum(np.searchsorted(self.cells, cells), len(self.cells) - 1)
+        later = self.last_s[found] > stamps_s[:, np.newaxis] + _LATER_S
+        across = later & (self.cells[found] == cells)
+        return np.asarray(across.sum(axis=1) >= _FEWEST, dtype=np.bool_)
 
 
-@jit
-def _followed(places: Points, steps_s: Floats) -> tuple[Ints, Floats]:
-    size = 16
-    while size < 4 * len(places):
-        size *= 2
-    cells, last_s = np.full(size, -1, np.int64), np.full(size, -np.inf)
-    for i in range(len(places)):
-        cell = _cell(places[i])
-        place = _place(cell, cells)
-        cells[place], last_s[place] = cell, steps_s[i]
-    return cells, last_s
-
-
-@jit
-def _crossed(world: Points, stamps_s: Floats, cells: Ints, last_s: Floats) -> Ints:
-    counts = np.zeros(len(world), np.int64)
-    for i in range(world.shape[0]):
-        for j in range(world.shape[1]):
-            x, y = world[i, j].real, world[i, j].imag
-            if 0.0 <= x < _WIDEST and 0.0 <= y < _WIDEST:  # false for NaN
-                counts[i] += last_s[_place(_cell(world[i, j]), cells)] > stamps_s[i] + _LATER_S
-    return counts
-
-
-@jit
-def _cell(point: complex) -> int:
-    """Return the cell of a point as one number; the point is not below the corner."""
-    return int(point.real) << 31 | int(point.imag)
-
-
-@jit
-def _place(cell: int, cells: Ints) -> int:
-    """Return where a cell is in the table, or the free place where it would be."""
-    place = (cell * 0x9E3779B97F4A7C1 >> 20) & (len(cells) - 1)
-    while cells[place] not in (cell, -1):
-        place = (place + 1) & (len(cells) - 1)
-    return place
+def _cells(from_corner: Points) -> Ints:
+    """Return the cells of points as one number each; -1 outside the path's quadrant."""
+    x, y = from_corner.real / _CELL_M, from_corner.imag / _CELL_M
+    inside = (x >= 0.0) & (x < _WIDEST) & (y >= 0.0) & (y < _WIDEST)  # false for NaN
+    columns, rows = (np.where(inside, each, 0.0).astype(np.int64) for each in (x, y))
+    return np.where(inside, columns << 31 | rows, -1)
 
 
 def _in_world(scans: RecordedScans, placed: PlanarPose, path: _Path) -> tuple[Series, Floats]:

@@ -2,8 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oracle_pipeline.clustering.scores import hac_height, outside_largest
-from oracle_pipeline.clustering.tree import LINKAGES, Tree, grow_tree
+from oracle_pipeline.clustering.tree import LINKAGES, Tree, grow_tree, hac_height, outside_largest
 
 
 def slow_hac_height(tree):

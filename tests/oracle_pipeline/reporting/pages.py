@@ -95,7 +95,7 @@ def with_many_runs(report, runs=60):
     ]
     many = pd.concat(numbered, ignore_index=True)
     tables = {**report.tables, "runs": many, "standing": standing(many)}
-    return Report(report.table, report.figures, report.summary, tables)
+    return Report(report.table, report.summary, tables)
 
 
 def searches_of_two():

@@ -144,17 +144,17 @@ def test_every_campaign_gives_an_honest_report(cut, tmp_path):
 
 
 def test_reports_survive_saving_with_and_without_further_tables(tmp_path):
-    plain = Report(run_features(1), {}, {"runs": 6})
+    plain = Report(run_features(1), {"runs": 6})
     plain.save(tmp_path / "report")
     assert Report.load(tmp_path / "report").tables == {}
-    Report(run_features(1), {}, {}, {"more": run_features(2)}).save(tmp_path / "report")
+    Report(run_features(1), {}, {"more": run_features(2)}).save(tmp_path / "report")
     back = Report.load(tmp_path / "report")
     pd.testing.assert_frame_equal(back.tables["more"], run_features(2))
 
 
 @pytest.mark.parametrize("name", ["summary.json", "table.parquet"])
 def test_a_flipped_bit_in_a_report_is_an_error_or_changes_nothing(name, tmp_path):
-    Report(run_features(1), {}, {"headline": "No claim", "runs": 6}).save(tmp_path / "report")
+    Report(run_features(1), {"headline": "No claim", "runs": 6}).save(tmp_path / "report")
     file = tmp_path / "report" / name
     content = file.read_bytes()
     for at in np.random.default_rng(15).choice(8 * len(content), 50, replace=False):
@@ -169,7 +169,7 @@ def test_a_flipped_bit_in_a_report_is_an_error_or_changes_nothing(name, tmp_path
         assert back.summary == {"headline": "No claim", "runs": 6}  # a bit of the seal's name
 
 
-def test_a_campaign_of_two_modes_in_two_blocks_gives_a_report_without_figures():
+def test_a_campaign_of_two_modes_in_two_blocks_gives_a_report_without_rates():
     features, windows, truth = campaign(2, effect=20.0)
     few = features[features["mode"].isin(["lidar_passthrough", "random_noise"])]
     report = oracle_evaluation(few, windows, truth)

@@ -4,12 +4,9 @@ import pytest
 from matplotlib.colors import to_rgb
 
 from oracle_pipeline.bags.manifest import GoalResult
-from oracle_pipeline.clustering.tree import LINKAGES, grow_tree
 from oracle_pipeline.replay.scene import DrawnGrid, ReplayScene, top_down
-from oracle_pipeline.reporting import charts
 from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, MARKERS, SERIES
 
-LABELS = ["normal", "malicious", "control"] * 10
 X = np.random.default_rng(0).normal(size=(30, 4))
 SCENE = ReplayScene(
     title="fake_object|run003",
@@ -26,12 +23,7 @@ SCENE = ReplayScene(
 EMPTY = ReplayScene(
     title="", frame="odom", map=None, path=np.zeros((1, 2)), start=(0.0, 0.0), duration_s=0.0
 )
-PICTURES = {
-    **{m: lambda m=m: charts.dendrogram(grow_tree(X, m), LABELS) for m in LINKAGES},
-    "tree of copies": lambda: charts.dendrogram(grow_tree(np.ones((6, 1))), LABELS[:6]),
-    "run": lambda: top_down(SCENE),
-    "run of which little is known": lambda: top_down(EMPTY),
-}
+PICTURES = {"run": lambda: top_down(SCENE), "run of which little is known": lambda: top_down(EMPTY)}
 
 
 @pytest.mark.parametrize("name", PICTURES)

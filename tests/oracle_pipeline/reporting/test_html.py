@@ -13,7 +13,7 @@ VOID = {"meta", "img", "link", "br"}
 FIRST = ["recorded", "found", "open"]
 EVERYTHING = [
     "verdicts", "searched", "alarms", "integrity", "scorers",
-    "magnitude", "trees", "thesis", "storage", "reading", "provenance",
+    "magnitude", "thesis", "storage", "reading", "provenance",
 ]  # fmt: skip
 LARGEST = 1_000_000  # bytes of the main page, so that it opens at once
 READABLE = 4.5  # contrast of text, WCAG 2.2, level AA

@@ -65,7 +65,6 @@ def test_every_campaign_gives_an_honest_report(campaign, name):
 
 def assert_honest(report):
     assert len(report.table) > 0
-    assert all(png.startswith(b"\x89PNG") for png in report.figures.values())
     json.dumps(dict(report.summary), allow_nan=False)
     assert {type(value) for value in report.summary.values()} <= {float, int, str}
     if "auc" in report.table:
@@ -80,7 +79,7 @@ def test_a_report_is_a_function_of_its_input_and_survives_saving(name, tmp_path)
     REPORTS[name](SMALL).save(tmp_path / name)  # in place of the first
     back = Report.load(tmp_path / name)
     pd.testing.assert_frame_equal(back.table, report.table)
-    assert (back.figures, back.summary) == (report.figures, report.summary)
+    assert back.summary == report.summary
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 

@@ -32,17 +32,6 @@ def test_p_values_do_not_increase_with_the_score(calibration, new):
     assert (p <= 1).all()
 
 
-@given(scores, scores, st.randoms(use_true_random=False))
-def test_a_block_counts_once_by_the_share_of_its_runs(calibration, new, random):
-    blocks = np.array([random.randrange(4) for _ in calibration])
-    names = np.unique(blocks)
-    shares = [sum((calibration[blocks == b] >= s).mean() for b in names) for s in new]
-    expected = (1 + np.array(shares)) / (len(names) + 1)
-    assert p_values(calibration, new, blocks) == pytest.approx(expected)
-    own = np.arange(len(calibration))
-    assert np.array_equal(p_values(calibration, new, own), p_values(calibration, new))
-
-
 @pytest.mark.parametrize("n", [5, 19, 40])
 def test_exchangeable_runs_have_super_uniform_p_values(n):
     rng = np.random.default_rng(n)
@@ -51,20 +40,6 @@ def test_exchangeable_runs_have_super_uniform_p_values(n):
     for alpha in (1 / (n + 1), 0.05, 0.1, 0.25, 0.5):
         excess = (p <= alpha).mean() - alpha
         assert excess < 3.3 * np.sqrt(alpha * (1 - alpha) / len(p))
-
-
-def test_similar_runs_in_blocks_invalidate_counts_by_run_but_not_by_block():
-    rng = np.random.default_rng(0)
-    by_run, by_block = [], []
-    blocks = np.repeat(np.arange(10), 6)
-    for _ in range(2000):
-        calibration = rng.normal(size=10)[blocks] + 0.1 * rng.normal(size=60)
-        new = rng.normal(size=1) + 0.1 * rng.normal(size=1)
-        by_run += p_values(calibration, new).tolist()
-        by_block += p_values(calibration, new, blocks).tolist()
-    assert np.mean(np.array(by_run) <= 0.05) > 0.05 + 3.3 * np.sqrt(0.05 * 0.95 / 2000)
-    least = 1 / 11  # of ten blocks
-    assert np.mean(np.array(by_block) <= least) < least + 3.3 * np.sqrt(least * 10 / 11 / 2000)
 
 
 @given(st.floats(1e-4, 0.999))
