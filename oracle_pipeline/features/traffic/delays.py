@@ -63,6 +63,7 @@ FEATURES = timed(
 
 _KINDS = {msgtype: name for name, msgtype in SENSORS.items()}
 _FEWEST = 5  # messages of a compared topic
+_ANOTHER_CLOCK_S = 3600.0  # least difference of stamps that are of another clock, or not set
 
 
 def compute(window: Window) -> Values | Missing:
@@ -76,6 +77,7 @@ def compute(window: Window) -> Values | Missing:
         return Missing("too few messages of sensors with header stamps")
     held = _over_the_freshest(held, window.arrivals)
     spreads = {topic: median_and_deviation(each) for topic, each in held.items()}
+    held = {t: each for t, each in held.items() if abs(spreads[t][0]) < _ANOTHER_CLOCK_S}
     usual = {topic: each[0] for topic, each in spreads.items()}
     values: dict[str, float | Located | Missing] = {}
     for name, msgtype in SENSORS.items():

@@ -39,6 +39,20 @@ def test_a_sensor_that_is_held_back_is_later_than_the_freshest(extracted):
     assert values["odometry_latency"] == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("stamp_s", [0, 123])
+def test_stamps_that_are_not_set_or_of_another_clock_are_not_compared(extracted, stamp_s):
+    recorded = recording([Scanner("/scan"), Scanner("/other")], driving)
+    for time_s, topic, message in recorded:
+        if topic == "/other":
+            message.header.stamp.sec = stamp_s + int(time_s) * (stamp_s > 0)
+        elif hasattr(message, "header"):
+            message.header.stamp.sec += 1_700_000_000
+    values, where, _ = extracted(recorded)
+    assert values["scan_latency"] == pytest.approx(0.0, abs=1e-6)
+    assert where["scan_latency"] == "/scan"
+    assert values["late"] == pytest.approx(0.0, abs=1e-6)
+
+
 def test_uneven_delays_are_jitter_and_long_ones_late(extracted):
     recorded = late(recording([Scanner("/scan")], driving), "/scan", [0.0, 0.0, 0.1, 0.1, 0.25])
     values, *_ = extracted(recorded)
