@@ -70,7 +70,7 @@ _PHRASES: Sequence[tuple[str, str]] = (
     ("generic.gap_max", "{where} was silent for {value} of its periods; usual is {usual}"),
     ("generic.jitter_*", "Messages of {where} come at irregular times"),
     ("generic.silent_topics", "{value} of the topics are silent; usual is {usual}"),
-    ("generic.message_rate", "There are {value} messages; usual is {usual}"),
+    ("generic.message_rate", "Messages of all topics come at {value}; usual is {usual}"),
     ("generic.out_of_order_max", "Stamps of {where} go back"),
     ("traffic.*", "Messages take other ways between nodes than in normal runs"),
     ("structural*", "The graph of nodes and topics is not that of normal runs"),
@@ -118,7 +118,7 @@ def sentence(evidence: Evidence) -> str:
     >>> sentence(Evidence("contextual.total_turning", -8.0, False, 0.29, "rad", 1.1, 1.6))
     'The robot turned 0.29 rad in all; normal runs turn 1.1 to 1.6 rad.'
     """
-    unit = "" if evidence.unit in ("1", "") else f" {evidence.unit}"
+    unit = "" if evidence.unit in ("1", "") else f" {evidence.unit.replace('1/', 'per ', 1)}"
     value = f"{rounded(evidence.value, 3)}{unit}"
     usual = f"{rounded(evidence.usual_low, 3)} to {rounded(evidence.usual_high, 3)}{unit}"
     text = _text(evidence, value, usual)
