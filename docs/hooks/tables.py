@@ -1,7 +1,8 @@
 """An MkDocs hook that puts tables of what the code has into the pages.
 
 A line ``<!-- table: features -->`` becomes the table of all built-in features. ``manifest`` names
-those of the fields of a manifest, ``found_attacks`` that of the attacks that searches found.
+those of the fields of a manifest, ``found_attacks`` that of the attacks that searches found, and
+``other_modes`` that of the modes of all built-in testbeds but the first.
 """
 
 import json
@@ -12,6 +13,8 @@ from typing import Any
 
 from oracle_pipeline import features
 from oracle_pipeline.bags import run_directory
+from sim.scenarios import builtin_scenarios
+from sim.testbeds import BUILT_IN, TESTBEDS
 
 MARK = re.compile(r"^<!-- table: (\w+) -->$", re.M)
 FOUND = Path(__file__).parents[2] / "examples" / "found_attacks"
@@ -59,6 +62,17 @@ def found_attacks() -> Iterator[str]:
             yield f"| `{file.stem}` | {comments[0].rstrip('.')} | {now} |"
 
 
+def other_modes() -> Iterator[str]:
+    """Yield a row for each mode of the testbeds after the first, without shadow controls."""
+    yield "| testbed | mode | label | what happens |"
+    yield "| --- | --- | --- | --- |"
+    for testbed in list(BUILT_IN)[1:]:
+        known = TESTBEDS[testbed]
+        for mode in (*known.experiments, *known.hard_negatives):
+            scenario = builtin_scenarios()[mode]
+            yield f"| {testbed} | `{mode}` | {scenario.label} | {scenario.title} |"
+
+
 def rows(fields: dict[str, Any], before: str = "") -> Iterator[str]:
     """Yield a row for each field, those of nested objects after their own."""
     for name, field in fields.items():
@@ -83,4 +97,5 @@ TABLES: dict[str, Callable[[], Iterator[str]]] = {
     "features": feature_table,
     "manifest": manifest_tables,
     "found_attacks": found_attacks,
+    "other_modes": other_modes,
 }

@@ -12,6 +12,8 @@ from assets.partitions import run_count, runs_per_partition
 from oracle_pipeline.definitions import defs
 from oracle_pipeline.features import build_manager
 from sim.campaigns import Campaign
+from sim.modes import modes
+from sim.testbeds import BUILT_IN, which_testbed
 from tests.docs.pages import DOCS, REPOSITORY
 
 SCHEMA = REPOSITORY / "oracle_pipeline" / "bags" / "manifest.schema.json"
@@ -38,6 +40,13 @@ def test_the_built_page_has_a_row_for_every_field_of_a_manifest(built):
     fields = {name for each in objects for name in each.get("properties", {})}
     assert fields <= set(rows)
     assert {"drive.clearance_m", "drive.commands"} <= set(rows)  # nested ones have their path
+
+
+def test_the_built_page_has_a_row_for_every_mode(built, monkeypatch):
+    monkeypatch.delenv("ORACLE_SCENARIOS", raising=False)
+    rows = re.findall(r"^\| (?:\w+ \| )?`(\w+)` \|", built("modes.md"), re.M)
+    alone = [name for name in modes() if which_testbed(modes()[name].scenario) in BUILT_IN]
+    assert set(rows) >= {name for name in alone if not name.endswith("_shadow")}
 
 
 def test_the_configuration_page_lists_every_variable_and_no_other():
