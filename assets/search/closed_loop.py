@@ -21,7 +21,7 @@ from oracle_pipeline.detectors.explain import UsualRanges
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.card import ReferenceCard, checked_card
 from oracle_pipeline.scoring.comparable import shared_features
-from oracle_pipeline.scoring.isolation import Extracted, extracted
+from oracle_pipeline.scoring.isolation import Extracted, Reading, extracted
 from oracle_pipeline.scoring.judging import judge
 from oracle_pipeline.scoring.verdict import Verdict
 from sim.campaigns import Campaign
@@ -274,7 +274,7 @@ def _ranges(card: Path) -> UsualRanges:
 
 
 def _extracted(directory: RunDirectory, card: Path) -> Extracted:
-    (robot,) = extracted(directory.path, known=_card(card).known)
+    (robot,) = extracted(directory.path, reading=Reading(known=_card(card).known))
     return robot
 
 

@@ -54,13 +54,13 @@ def _judged(
 ) -> "tuple[Verdict, FeatureTables | None]":
     from oracle_pipeline.bags.errors import BagError, OracleError
     from oracle_pipeline.features import build_manager
-    from oracle_pipeline.scoring.isolation import extract_isolated
+    from oracle_pipeline.scoring.isolation import Reading, extract_isolated
     from oracle_pipeline.scoring.judging import judge
     from oracle_pipeline.scoring.verdict import Verdict
 
     tables = None
     try:
-        robots = extract_isolated(arrival.path, build_manager(), limits, known=card.known)
+        robots = extract_isolated(arrival.path, build_manager(), limits, Reading(known=card.known))
         if len(robots) > 1:
             raise BagError(
                 f"{arrival.name} has {len(robots)} robots, but an arrival has one verdict. Judge "

@@ -1,4 +1,4 @@
-"""Read YAML of unknown origin by events, within limits on size and depth."""
+"""Read YAML of unknown origin, within limits on size and depth that its events are checked for."""
 
 from typing import Any
 
@@ -7,13 +7,6 @@ import yaml
 from oracle_pipeline.bags.limits import DEEPEST_YAML, LARGEST_YAML, MOST_YAML_VALUES
 
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-
-
-class _Text(yaml.SafeLoader):
-    """Only for its rules on plain scalars: number, boolean or string."""
-
-    def __init__(self) -> None:
-        super().__init__("")
 
 
 def load(text: str) -> Any:
@@ -26,60 +19,26 @@ def load(text: str) -> Any:
     """
     if len(text) > LARGEST_YAML:
         raise ValueError(f"it is longer than {LARGEST_YAML} characters (LARGEST_YAML)")
-    scalars = _Text()
-    stack: list[Any] = []
-    keys: list[Any] = []  # of the mapping at each depth: the key that waits for its value
-    document: Any = None
-    values = 0
-    nothing = object()
     try:
-        for event in yaml.parse(text, Loader=_LOADER):
-            if isinstance(event, yaml.AliasEvent):
-                raise ValueError("it has an alias, which is not supported")
-            if isinstance(event, yaml.MappingStartEvent | yaml.SequenceStartEvent):
-                _refuse_tag(event.tag)
-                value: Any = {} if isinstance(event, yaml.MappingStartEvent) else []
-            elif isinstance(event, yaml.ScalarEvent):
-                value = _scalar(scalars, event)
-            elif isinstance(event, yaml.MappingEndEvent | yaml.SequenceEndEvent):
-                stack.pop()
-                keys.pop()
-                continue
-            else:
-                continue
-            values += 1
-            if values > MOST_YAML_VALUES or len(stack) > DEEPEST_YAML:
-                raise ValueError(
-                    f"it has more than {MOST_YAML_VALUES} values or is deeper than {DEEPEST_YAML} "
-                    "(MOST_YAML_VALUES, DEEPEST_YAML)"
-                )
-            if not stack:
-                document = value
-            elif isinstance(stack[-1], list):
-                stack[-1].append(value)
-            elif keys[-1] is nothing:
-                if isinstance(value, dict | list):
-                    raise ValueError("a key is a mapping or a list")
-                keys[-1] = value
-            else:
-                stack[-1][keys[-1]] = value
-                keys[-1] = nothing
-            if isinstance(value, dict | list):
-                stack.append(value)
-                keys.append(nothing)
+        _check(text)
+        return yaml.load(text, Loader=_LOADER)  # noqa: S506 -- a safe loader
     except yaml.YAMLError as error:
         raise ValueError(str(error)) from error
-    return document
 
 
-def _refuse_tag(tag: str | None) -> None:
-    if tag not in (None, "!"):
-        raise ValueError(f"it has a tag, {tag}, which is not supported")
-
-
-def _scalar(rules: _Text, event: yaml.ScalarEvent) -> Any:
-    _refuse_tag(event.tag)
-    if not event.implicit[0]:
-        return event.value
-    tag = rules.resolve(yaml.ScalarNode, event.value, (True, False))  # type: ignore[no-untyped-call]
-    return rules.construct_object(yaml.ScalarNode(tag, event.value))
+def _check(text: str) -> None:
+    depth = values = 0
+    for event in yaml.parse(text, Loader=_LOADER):
+        if isinstance(event, yaml.AliasEvent):
+            raise ValueError("it has an alias, which is not supported")
+        if isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent):
+            if event.tag not in (None, "!"):
+                raise ValueError(f"it has a tag, {event.tag}, which is not supported")
+            values += 1
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if values > MOST_YAML_VALUES or depth > DEEPEST_YAML:
+            raise ValueError(
+                f"it has more than {MOST_YAML_VALUES} values or is deeper than {DEEPEST_YAML} "
+                "(MOST_YAML_VALUES, DEEPEST_YAML)"
+            )

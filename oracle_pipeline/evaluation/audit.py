@@ -7,9 +7,8 @@ experiment and not the robot. The same holds for a feature that distinguishes tw
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
 from itertools import combinations
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -19,21 +18,12 @@ from scipy.stats import binomtest, false_discovery_control, kruskal
 from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.datasets import feature_columns, feature_floors
 
-Distinguished: TypeAlias = Literal["control", "mode", "session"]
+_Row: TypeAlias = tuple[str, str, str, float, float]
+
+COLUMNS = ("feature", "tells", "between", "differing", "p")
 
 BLOCKS_OF_SESSION = 3  # fewer show no difference between sessions
 LEVEL = 0.05  # false discovery rate among the features of one comparison
-
-
-@dataclass(frozen=True, slots=True)
-class _DistinguishingFeature:
-    """One feature that distinguishes unaltered runs."""
-
-    feature: str
-    tells: Distinguished
-    between: str  # two modes, or the sessions
-    differing: float  # share of the blocks in which it differs by more than its floor
-    p: float  # adjusted for the number of compared features
 
 
 def exact_pairs(df: pd.DataFrame) -> list[tuple[str, str]]:
@@ -75,19 +65,18 @@ def audit(df: pd.DataFrame, columns: Sequence[str] | None = None) -> pd.DataFram
     Returns
     -------
     DataFrame
-        A row for each `_DistinguishingFeature`, the most certain first.
+        A row for each feature, the most certain first: ``tells`` says what it distinguishes,
+        ``between`` two modes or the sessions, ``differing`` in which share of the blocks by more
+        than its floor, and ``p`` is adjusted for the number of compared features.
     """
     chosen = feature_columns(df) if columns is None else list(columns)
     found = [*_between_modes(df, chosen), *_between_sessions(df, chosen)]
-    found.sort(key=lambda each: (each.p, each.feature))
-    return pd.DataFrame(
-        map(asdict, found), columns=list(_DistinguishingFeature.__dataclass_fields__)
-    )
+    return pd.DataFrame(found, columns=COLUMNS).sort_values(["p", "feature"], ignore_index=True)
 
 
 def _features_differing_in_pair(
     df: pd.DataFrame, columns: Sequence[str], pair: tuple[str, str]
-) -> list[_DistinguishingFeature]:
+) -> list[_Row]:
     """Return the features that distinguish two unaltered modes."""
     one, other = (
         df[df["mode"] == mode].set_index("block")[list(columns)].sort_index() for mode in pair
@@ -106,13 +95,13 @@ def _features_differing_in_pair(
     return _significant(columns, "control" if exact else "mode", " and ".join(pair), share, p)
 
 
-def _between_modes(df: pd.DataFrame, columns: Sequence[str]) -> Iterator[_DistinguishingFeature]:
+def _between_modes(df: pd.DataFrame, columns: Sequence[str]) -> Iterator[_Row]:
     passthrough = [control for control, _ in PAIRS if control in set(df["mode"])]
     for pair in (*exact_pairs(df), *combinations(dict.fromkeys(passthrough), 2)):
         yield from _features_differing_in_pair(df, columns, pair)
 
 
-def _between_sessions(df: pd.DataFrame, columns: Sequence[str]) -> list[_DistinguishingFeature]:
+def _between_sessions(df: pd.DataFrame, columns: Sequence[str]) -> list[_Row]:
     unaltered = df[df["mode"].isin([control for control, _ in PAIRS])]
     by_block = unaltered.groupby(["session", "block"])[list(columns)].mean()
     groups, between = [group for _, group in by_block.groupby("session")], "sessions"
@@ -135,15 +124,11 @@ def _p_equal(samples: list[NDArray[np.float64]]) -> float:
 
 
 def _significant(
-    columns: Sequence[str],
-    tells: Distinguished,
-    between: str,
-    share: NDArray[np.float64],
-    p: list[float],
-) -> list[_DistinguishingFeature]:
+    columns: Sequence[str], tells: str, between: str, share: NDArray[np.float64], p: list[float]
+) -> list[_Row]:
     adjusted: list[float] = false_discovery_control(p).tolist() if p else []
     return [
-        _DistinguishingFeature(column, tells, between, float(differing), float(p_adjusted))
+        (column, tells, between, float(differing), float(p_adjusted))
         for column, differing, p_adjusted in zip(columns, share, adjusted, strict=True)
         if p_adjusted <= LEVEL
     ]

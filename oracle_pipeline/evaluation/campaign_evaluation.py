@@ -26,16 +26,14 @@ from oracle_pipeline.evaluation.card_verdicts import (
 from oracle_pipeline.evaluation.comparisons import (
     HEADLINE,
     ComparedRuns,
-    Scorer,
     comparisons,
     judge,
-    scorers,
     unjudged,
 )
 from oracle_pipeline.evaluation.held_out import HeldOutScores, held_out
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.kill_rates import kill_matrix
-from oracle_pipeline.evaluation.open_claims import OpenClaim, open_claims
+from oracle_pipeline.evaluation.open_claims import open_claims
 from oracle_pipeline.evaluation.splits import (
     BLOCK,
     HARMLESS,
@@ -66,9 +64,9 @@ class CampaignEvaluation:
     seed: int  # of splits, detectors and resamples
     verdicts: CardVerdicts  # of `oracle score`, by cards of other blocks
     headline: HeldOutScores  # of those verdicts
-    table: pd.DataFrame  # a row for each scorer, split and comparison, the headline first
+    table: pd.DataFrame  # a row for each detector, split and comparison, the headline first
     checks: list[integrity_checks.IntegrityCheck]
-    open_claims: list[OpenClaim]  # what cannot be claimed yet
+    open_claims: pd.DataFrame  # what cannot be claimed yet
     alarms: pd.DataFrame  # metrics of the alarms of those verdicts
     aspect_scores: Mapping[str, HeldOutScores]  # tampering and misbehaviour, run by run
     effects: TaskEffects  # the ground truth of misbehaviour
@@ -179,27 +177,26 @@ class _Steps:
         self.progress = progress
         self.seed = seed
         self.rng = np.random.default_rng(seed)
-        self.sets = feature_sets(campaign.features)
+        self.columns = feature_sets(campaign.features).get("all", [])
         self.compared = comparisons(campaign.features)
         self.folds = card_folds(campaign.features, seed)
 
     def verdicts(self, split: str, folds: Sequence[Fold]) -> CardVerdicts:
         """Judge all tested runs by the cards of their folds."""
-        self.progress(f"{HEADLINE.detector}; held out: {split}")
+        self.progress(f"{HEADLINE}; held out: {split}")
         return card_verdicts(self.campaign, folds, self.observations)
 
     def rows(self, verdicts: CardVerdicts) -> Iterator[Row]:
-        """Yield the rows of the verdicts in each comparison, then of all scorers."""
+        """Yield the rows of the verdicts in each comparison, then of all detectors."""
         yield from self._of_cards(BLOCK, self.folds, verdicts)
         df = self.campaign.features
         if folds := group_folds(df, WORLD, self.seed):
             yield from self._of_cards(WORLD, folds, self.verdicts(WORLD, folds))
         if is_hard_negative(df).any() and (folds := without_hard_negatives(df, self.folds)):
             yield from self._of_cards(HARMLESS, folds, self.verdicts(HARMLESS, folds))
-        detectors = panel(self.seed)
-        for scorer in scorers(detectors, self.sets):
-            self.progress(", ".join(scorer))
-            yield {**scorer._asdict(), "split": BLOCK, **self._of_detector(scorer, detectors)}
+        for name, detector in panel(self.seed).items():
+            self.progress(name)
+            yield {"detector": name, "split": BLOCK, **self._of_detector(detector)}
 
     def _of_cards(self, split: str, folds: Sequence[Fold], verdicts: CardVerdicts) -> Iterator[Row]:
         """Yield a row for each comparison, on the tested runs only."""
@@ -207,13 +204,12 @@ class _Steps:
         for each in self.compared:
             scope = ComparedRuns(each.name, each.runs & tested)
             row = judge(scores, self.campaign, scope, self.rng, exits=verdicts.exits())
-            yield {**HEADLINE._asdict(), "split": split, "scope": each.name, **row}
+            yield {"detector": HEADLINE, "split": split, "scope": each.name, **row}
 
-    def _of_detector(self, scorer: Scorer, detectors: Mapping[str, Detector]) -> Row:
-        all_modes, columns = self.compared[0], self.sets.get(scorer.features, [])
-        folds = block_folds(self.campaign.features, self.seed)
+    def _of_detector(self, detector: Detector) -> Row:
+        all_modes, folds = self.compared[0], block_folds(self.campaign.features, self.seed)
         try:
-            scores = held_out(self.campaign, columns, detectors[scorer.detector], folds)
+            scores = held_out(self.campaign, self.columns, detector, folds)
         except DetectorError as error:
             row = unjudged(self.campaign, all_modes, str(error))
         else:
@@ -225,11 +221,11 @@ class _Steps:
     ) -> list[integrity_checks.IntegrityCheck]:
         """Return all integrity checks of the headline."""
         self.progress("integrity checks")
-        campaign, columns = self.campaign, self.sets.get(HEADLINE.features, [])
-        rng = np.random.default_rng([self.seed, 1])  # independent of the number of scorers
+        campaign = self.campaign
+        rng = np.random.default_rng([self.seed, 1])  # independent of the number of detectors
         return [
             integrity_checks.same_between_sessions(headline, campaign, rng),
             integrity_checks.equal_graphs(differences),
             integrity_checks.hard_negatives(headline, campaign, rng),
-            integrity_checks.unaltered_runs_alike(campaign, columns),
+            integrity_checks.unaltered_runs_alike(campaign, self.columns),
         ]

@@ -1,12 +1,11 @@
 """The comparisons of an evaluation: which runs, which scorer, and which metrics.
 
-The protocol is fixed before the final data are recorded: the panel, the sets of features and the
-scorer of the headline. docs/explanation/evaluation.md gives the reasons.
+The protocol is fixed before the final data are recorded: the panel and the scorer of the headline.
+docs/explanation/evaluation.md gives the reasons.
 """
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bootstrap import DistinctRuns
 from oracle_pipeline.datasets import HARD_NEGATIVE
-from oracle_pipeline.detectors import DEFAULT_DETECTOR
 from oracle_pipeline.evaluation.card_verdicts import RATE
 from oracle_pipeline.evaluation.held_out import HeldOutScores
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
@@ -26,29 +24,8 @@ ALL_MODES = "all modes"
 NORMAL = "normal"
 HARD_NEGATIVES = "hard negatives"
 SHADOW = "_shadow"  # suffix of the names of shadow controls
+HEADLINE = "reference card"  # the scorer of the headline, as `oracle score` uses it
 OBSTACLE = ("benign_obstacle", "fake_object")  # a real and a fake object at the same place
-
-
-class Scorer(NamedTuple):
-    """A detector with a set of features of the run."""
-
-    detector: str
-    features: str
-
-
-HEADLINE = Scorer("reference card", "all")  # as `oracle score` uses it
-
-
-def scorers(detectors: Iterable[str], sets: Iterable[str]) -> list[Scorer]:
-    """Return all scorers that are compared with the headline's, on the features of whole runs.
-
-    These are all detectors, and the default one on every set of features.
-    """
-    named = [
-        *(Scorer(detector, HEADLINE.features) for detector in detectors),
-        *(Scorer(DEFAULT_DETECTOR, features) for features in sets),
-    ]
-    return list(dict.fromkeys(named))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -195,12 +195,3 @@ def unaltered_runs_alike(campaign: JudgedRuns, columns: Sequence[str]) -> Integr
         f"{f': {named}' if named else ''}. {of_modes} distinguish unaltered modes by their "
         f"subscriptions, {matched} an unaltered counterpart.",
     )
-
-
-def banner(checks: Sequence[IntegrityCheck]) -> str:
-    """Return the sentences of all checks that are not green; empty if all are."""
-    return " ".join(
-        f"{check.name} is {check.status}: {check.sentence}"
-        for check in checks
-        if check.status != "green"
-    )

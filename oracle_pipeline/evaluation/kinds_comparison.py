@@ -70,7 +70,7 @@ def compare_kinds(
     verdicts: dict[str, KindScores] = {}
     for kind in kinds:
         progress(kind.name)
-        cost: Row = {"oracle": kind.name, "asks": kind.asks, "written": kind.written()}
+        cost: Row = {"oracle": kind.name, "asks": kind.asks}
         alone = TracedRuns(runs.table, runs.traces)  # without caches, to measure the full cost
         began_s = time.process_time()
         try:

@@ -174,16 +174,8 @@ def measure(
     table = SignalTable(signals.signals(recording.times_ns))
     fields |= _fields(table.features)
     of_run.add_signals(table, whole)
-    spans = window_spans(recording)
-    of_windows = [extraction.row(span, per_window=True) for span in spans]
-    for span, row in zip(spans, of_windows, strict=True):
-        row.add_signals(table, span, per_window=True)
-    for span, row in zip((whole, *spans), (of_run, *of_windows), strict=True):
-        if run.disturbances.cover(span.start_s, span.end_s):
-            row.without_timing(manager.features() | table.features)
-    windowed = {c: f for c, f in manager.features().items() if f.per_window} | table.of_windows
-    starts = {WINDOW_START: [span.start_s for span in spans]}
-    window_fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}
+    if run.disturbances.cover(whole.start_s, whole.end_s):
+        of_run.without_timing(manager.features() | table.features)
     own = [
         *robot.roles.notes, *robot.roles.ambiguities(), *recording.notes, *signals.notes,
     ]  # fmt: skip
@@ -193,7 +185,7 @@ def measure(
     )  # fmt: skip
     return RecordingFeatures(
         _table(_keys(run, robot), {}, of_run.values, [of_run], fields),
-        _table(_keys(run, robot), starts, windowed, of_windows, window_fields),
+        extraction.windows(_keys(run, robot), window_spans(recording), table),
         notes,
     )
 
@@ -235,15 +227,8 @@ def extract_window(
     recording = KeptMessages.read(robot, manager.plugins, carried, signals.see)
     extraction = _Extraction(run, manager, recording, Span(0, recording.duration_ns))
     span = Span(round(start_s * 1e9), recording.duration_ns)
-    row = extraction.row(span, per_window=True)
     of_signals = SignalTable(signals.signals(recording.times_ns))
-    row.add_signals(of_signals, span, per_window=True)
-    if run.disturbances.cover(span.start_s, span.end_s):
-        row.without_timing(manager.features() | of_signals.features)
-    windowed = {c: f for c, f in manager.features().items() if f.per_window}
-    windowed |= of_signals.of_windows
-    fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}
-    table = _table(_keys(run, robot), {WINDOW_START: [start_s]}, windowed, [row], fields)
+    table = extraction.windows(_keys(run, robot), [span], of_signals)
     return WindowFeatures(table.frame(), recording.carried())
 
 
@@ -280,6 +265,7 @@ class _Extraction:
     ) -> None:
         self._run = run
         self._plugins = manager.plugins
+        self._features = manager.features()
         self._recording = recording
         self._failed: set[str] = set()  # plugins whose failure is in the log
         self._whole = whole
@@ -313,6 +299,18 @@ class _Extraction:
             for column, name in columns.items():
                 row.put(column, values[name])
         return row
+
+    def windows(self, keys: Mapping[str, Any], spans: list[Span], signals: SignalTable) -> Table:
+        """Return the features of windows, a row each."""
+        rows = [self.row(span, per_window=True) for span in spans]
+        for span, row in zip(spans, rows, strict=True):
+            row.add_signals(signals, span, per_window=True)
+            if self._run.disturbances.cover(span.start_s, span.end_s):
+                row.without_timing(self._features | signals.features)
+        windowed = {c: f for c, f in self._features.items() if f.per_window} | signals.of_windows
+        fields = {WINDOW_START: {"unit": "s"}, **_fields(windowed)}
+        starts = {WINDOW_START: [span.start_s for span in spans]}
+        return _table(keys, starts, windowed, rows, fields)
 
     def add_thesis_columns(
         self, row: _Row, plugin: ThesisPlugin, span: Span, messages: MessageTable

@@ -7,11 +7,11 @@ import pandas as pd
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import UNKNOWN_WORLD
+from oracle_pipeline.bags.remote import fetched
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RunDirectory
 from oracle_pipeline.bags.terminal import printable, progress_bar
 from oracle_pipeline.datasets import KEYS
 from oracle_pipeline.opened_run import open_run
-from oracle_pipeline.oracles.kept_traces import kept_trace
 from oracle_pipeline.oracles.kind import RELATION, SAME, KindError, TracedRuns
 from oracle_pipeline.oracles.traces import read_trace
 from oracle_pipeline.robots.robot import find_robots, of_robot
@@ -20,9 +20,7 @@ from oracle_pipeline.scoring.reference import recordings_below
 _NO_BLOCK = -1  # for a bag without a manifest, which becomes its own block and session
 
 
-def traced_runs(
-    recordings: Sequence[Path], normal: Sequence[Path] = (), folder: Path | None = None
-) -> TracedRuns:
+def traced_runs(recordings: Sequence[Path], normal: Sequence[Path] = ()) -> TracedRuns:
     """Read the traces of all recordings below some folders.
 
     Parameters
@@ -31,8 +29,6 @@ def traced_runs(
         Run directories, bags, and folders of these. A bag without a manifest has no label.
     normal : sequence of Path
         The same; a bag without a manifest counts as normal, and as its own block.
-    folder : Path, optional
-        Cache folder for the traces of run directories.
 
     An attacked run that ended before its attack is left out.
 
@@ -54,7 +50,7 @@ def traced_runs(
     traces: list[pd.DataFrame] = []
     for path, label in progress_bar(found.items(), unit="recording", desc="signals"):
         try:
-            for row, trace in _traced(path, label, folder):
+            for row, trace in _traced(path, label):
                 own_block = {"block": -2 - len(rows)} if row["block"] == _NO_BLOCK else {}
                 rows.append(row | own_block)
                 traces.append(trace)
@@ -67,9 +63,7 @@ def traced_runs(
     )
 
 
-def _traced(
-    path: Path, label: str, folder: Path | None
-) -> Iterator[tuple[dict[str, object], pd.DataFrame]]:
+def _traced(path: Path, label: str) -> Iterator[tuple[dict[str, object], pd.DataFrame]]:
     if (path / MANIFEST_FILE).is_file():
         run = RunDirectory.at(path)
         manifest = run.manifest()
@@ -77,9 +71,9 @@ def _traced(
             return
         keys = (manifest.key, *(getattr(manifest, key) for key in KEYS[1:]))
         relation = manifest.recipe.get("options", {}).get(RELATION, SAME)
-        # Runs in different relations have equal names; each relation has a folder of traces.
-        place = folder / relation if folder and relation != SAME else folder
-        yield dict(zip(KEYS, keys, strict=True)) | {RELATION: relation}, kept_trace(run, place)
+        with fetched(run.path) as place, open_run(place) as opened:
+            trace = read_trace(find_robots(opened.bag)[0])
+        yield dict(zip(KEYS, keys, strict=True)) | {RELATION: relation}, trace
         return
     with open_run(path) as opened:
         for robot in find_robots(opened.bag):

@@ -165,10 +165,6 @@ class Human:
         coordinates = _Coordinates.learned(normal, self._kinds)
         return _Opinion(coordinates, *_line(coordinates.of(answered), bad))
 
-    def written(self) -> int:
-        """Return the number of answers."""
-        return len(self._answers)
-
 
 def _next_question(
     coordinates: NDArray[np.float64], answers: Mapping[int, bool], passed: Set[int] = frozenset()

@@ -31,10 +31,6 @@ class Implicit:
         """Return the score of each run; 0 without failures."""
         return np.asarray(np.log1p(runs.each(_failures)).sum(axis=1), dtype=np.float64)
 
-    def written(self) -> int:
-        """Return 0: there is nothing to write."""
-        return 0
-
 
 def _failures(trace: pd.DataFrame) -> NDArray[np.float64]:
     """Return the numbers of failed goals, logged errors, non-finite numbers, and silence [s].

@@ -161,10 +161,6 @@ class Invariants:
         low_scale, high_scale = (np.maximum(_spread(each), floors) for each in (least, largest))
         return _LearnedInvariants(low, high, low_scale, high_scale, len(normal.traces))
 
-    def written(self) -> int:
-        """Return 0: they are learned."""
-        return 0
-
 
 @hookimpl
 def register_oracles() -> list[Maker]:

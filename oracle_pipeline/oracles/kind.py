@@ -112,9 +112,6 @@ class OracleKind(Protocol):
     def learn(self, normal: TracedRuns) -> FittedOracle:
         """Return the oracle that is fitted on normal runs; a kind may be its own."""
 
-    def written(self) -> int:
-        """Return the number of requirements, answers or recordings that people provided."""
-
 
 @dataclass(frozen=True, slots=True)
 class Material:

@@ -156,10 +156,6 @@ class Metamorphic:
                 row[known] = own[known] - np.nanmedian(others[:, known], axis=0)
         return differences.ravel()
 
-    def written(self) -> int:
-        """Return the number of recordings that serve as partners."""
-        return sum(len(partners.traces) for partners in self._partners.values())
-
 
 def _unaltered(runs: TracedRuns) -> TracedRuns:
     return runs.where(runs.normal & ~is_hard_negative(runs.table))

@@ -47,10 +47,6 @@ class Specified:
         beyond = runs.each(_Violations(self.requirements))
         return np.asarray(np.nanmax(np.nan_to_num(beyond, nan=-FARTHEST), axis=1))
 
-    def written(self) -> int:
-        """Return the number of requirements."""
-        return len(self.requirements)
-
 
 @hookimpl
 def register_oracles() -> list[Maker]:

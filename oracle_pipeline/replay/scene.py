@@ -30,7 +30,7 @@ FAKE_OBJECT: dict[str, Any] = {"color": COLORS["malicious"], "alpha": 0.55, "lw"
 OBSTACLE: dict[str, Any] = {**FAKE_OBJECT, "color": AMBER}
 REACHED: dict[str, Any] = {"color": AMBER, "marker": "*", "ls": "", "ms": 11}
 NOT_REACHED: dict[str, Any] = {**REACHED, "mfc": to_rgba(AMBER, 0.15), "mec": AMBER}
-LABEL_OFFSET = 9.0  # distance of a goal's number from the goal [points]
+LABEL_OFFSET = (5.0, 5.0)  # of a goal's number from the goal [points]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -156,11 +156,8 @@ def draw_ground(axes: Axes, scene: ReplayScene) -> None:
     else:
         axes.plot(*scene.surroundings().T, ".", color=INK, ms=1.2, alpha=0.5, mew=0)
     goals = scene.goals[:, :2]
-    for number, goal in enumerate(goals):
-        offset = _label_offset(goal, np.delete(goals, number, axis=0))
-        axes.annotate(
-            str(number + 1), goal, offset, textcoords="offset points", ha="center", va="center"
-        )  # fmt: skip
+    for number, goal in enumerate(goals, 1):
+        axes.annotate(str(number), goal, LABEL_OFFSET, textcoords="offset points")
     (left, low), (right, high) = scene.corners()
     axes.set(xlim=(left, right), ylim=(low, high), aspect="equal")
 
@@ -181,13 +178,3 @@ def set_grid(image: AxesImage, grid: DrawnGrid) -> None:
     image.set_data(grid.cells.view(np.uint8))
     image.set_extent((0, columns, 0, rows))
     image.set_transform(grid.placement() + image.axes.transData)
-
-
-def _label_offset(point: NDArray[np.float64], others: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the offset of a point's label, away from the nearest other point [points]."""
-    away = point - others
-    distance = np.hypot(*away.T)
-    x, y = 0.7, 0.7
-    if distance.size and distance.min() > 0.0:
-        x, y = away[distance.argmin()] / distance.min()
-    return LABEL_OFFSET * x, LABEL_OFFSET * y

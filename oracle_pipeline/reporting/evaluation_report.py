@@ -7,12 +7,10 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.datasets import KEYS, content_hash, is_malicious
-from oracle_pipeline.evaluation import integrity_checks
 from oracle_pipeline.evaluation.campaign_evaluation import CampaignEvaluation
 from oracle_pipeline.evaluation.card_verdicts import RATE
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.kill_rates import MAGNITUDE, kill_rates, minimum_detectable
-from oracle_pipeline.evaluation.open_claims import as_table
 from oracle_pipeline.evaluation.ranking import Ranking, standing
 from oracle_pipeline.reporting.stored_report import Report, facts
 from oracle_pipeline.scoring.feature_sets import ASPECTS
@@ -24,7 +22,7 @@ FIGURES = (*EXIT_RATES, "detection_rate", "false_positive_rate", "auc")  # of th
 def evaluation_report(evaluation: CampaignEvaluation) -> Report:
     """Return the report on an evaluation.
 
-    The main table has a row for each scorer, split and comparison, the headline first. Further
+    The main table has a row for each detector, split and comparison, the headline first. Further
     tables are ``alarms``, ``aspects``, ``task_uncertainty``, ``task_differences``, ``checks``,
     ``open_claims``, ``runs``, ``raised``, ``standing`` and, with a grid, ``kills``,
     ``mutation_scores`` and ``minimum_detectable``.
@@ -40,7 +38,7 @@ def _tables(evaluation: CampaignEvaluation) -> dict[str, pd.DataFrame]:
         **evaluation.aspects,
         "task_differences": evaluation.effects.differences.assign(run_id=runs["run_id"]),
         "checks": pd.DataFrame([check.columns() for check in evaluation.checks]),
-        "open_claims": as_table(evaluation.open_claims),
+        "open_claims": evaluation.open_claims,
         "runs": runs,
         "raised": _raised(evaluation),
         "standing": standing(runs),
@@ -98,7 +96,6 @@ def _summary(evaluation: CampaignEvaluation) -> dict[str, float | int | str]:
     return {
         "headline": in_words(*rates) if claimed else _ranked(Ranking.of(runs)),
         "verdicts": verdicts(runs),
-        "banner": integrity_checks.banner(evaluation.checks),
         "scorer": "reference cards of other blocks, as oracle score uses them",
         "malicious_runs": int(campaign.malicious.sum()),
         "normal_runs": int((~campaign.malicious).sum()),

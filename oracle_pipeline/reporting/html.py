@@ -135,7 +135,7 @@ def provenance(df: pd.DataFrame) -> dict[str, str]:
 def _tables_of_evaluation(evaluation: Report) -> dict[str, PageTable]:
     """Return the tables of `oracle_evaluation` by name."""
     judged, further = evaluation.table, evaluation.tables
-    of_cards = judged["detector"] == HEADLINE.detector
+    of_cards = judged["detector"] == HEADLINE
     overall = judged["scope"].isin([ALL_MODES, HARD_NEGATIVES])
     tables = {
         "verdicts": table("verdicts", judged[of_cards & ((judged["split"] == BLOCK) | overall)]),

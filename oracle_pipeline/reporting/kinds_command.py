@@ -28,10 +28,6 @@ _requirements = click.option(
     "--requirements", type=click.Path(path_type=Path, dir_okay=False, exists=True),
     help="YAML file of formulas that every run should satisfy.  [default: those for stock Nav2]",
 )  # fmt: skip
-_traces = click.option(
-    "--traces", type=click.Path(path_type=Path, file_okay=False),
-    help="Folder to cache extracted signals in, so that the next call is faster.",
-)  # fmt: skip
 
 
 @click.command()
@@ -48,7 +44,6 @@ _traces = click.option(
 )  # fmt: skip
 @rate_option("--far", "False positive rate of each kind, and of all together.")
 @format_option("text", "json", text="Text for reading; one JSON object for programs.")
-@_traces
 @plugins_option
 def kinds(
     recordings: tuple[Path, ...],
@@ -58,7 +53,6 @@ def kinds(
     questions: int,
     far: float,
     file_format: str,
-    traces: Path | None,
     plugins: Path | None,
 ) -> None:
     """Judge runs by several kinds of oracle, side by side.
@@ -85,7 +79,7 @@ def kinds(
     from oracle_pipeline.reporting.kinds_tables import as_json, as_text
 
     given = human.load_answers(answers) if answers else {}
-    material = _material(recordings, reference, requirements, given, traces)
+    material = _material(recordings, reference, requirements, given)
     if questions:
         material = human.answered_by_labels(material, questions)
     nothing: list[str] = []
@@ -116,14 +110,12 @@ def kinds(
     "-k", "count", type=click.IntRange(1), default=10, show_default=True,
     help="Number of runs to ask about.",
 )  # fmt: skip
-@_traces
 def review(
     recordings: tuple[Path, ...],
     reference: Path | None,
     requirements: Path | None,
     answers: Path,
     count: int,
-    traces: Path | None,
 ) -> None:
     """Ask a person about the most informative runs.
 
@@ -139,7 +131,7 @@ def review(
     from oracle_pipeline.oracles import human
 
     given = human.load_answers(answers) if answers.is_file() else {}
-    material = _material(recordings, reference, requirements, given, traces)
+    material = _material(recordings, reference, requirements, given)
 
     def ask(run: str) -> bool | None:
         click.echo(f"\n{run}")
@@ -161,8 +153,7 @@ def review(
 @click.argument("good", metavar="GOOD...", nargs=-1, required=True,
                 type=click.Path(path_type=Path, exists=True))  # fmt: skip
 @output_option("--output", "YAML file to write.", required=True)
-@_traces
-def invariants(good: tuple[Path, ...], output: Path, traces: Path | None) -> None:
+def invariants(good: tuple[Path, ...], output: Path) -> None:
     """Learn invariants from normal recordings, one line each.
 
     The file has formulas of signal temporal logic. Review it, delete or change lines, and pass it
@@ -180,7 +171,7 @@ def invariants(good: tuple[Path, ...], output: Path, traces: Path | None) -> Non
     from oracle_pipeline.oracles.invariants import HEAD, Invariants, half_to_learn
     from oracle_pipeline.oracles.requirements import dump
 
-    runs = traced_runs([], good, traces)
+    runs = traced_runs([], good)
     normal = runs.where(runs.normal)
     seen = normal.where(half_to_learn(normal))
     learned = Invariants().learn(seen).requirements()
@@ -201,13 +192,12 @@ def _material(
     reference: Path | None,
     requirements: Path | None,
     answers: dict[str, bool],
-    traces: Path | None,
 ) -> "Material":
     from oracle_pipeline.oracles.collecting import traced_runs
     from oracle_pipeline.oracles.kind import RELATION, SAME, KindError, Material
     from oracle_pipeline.oracles.requirements import NAV2, load
 
-    found = traced_runs(recordings, [reference] if reference else [], traces)
+    found = traced_runs(recordings, [reference] if reference else [])
     is_same = (found.table[RELATION] == SAME).to_numpy()
     if not is_same.any():
         raise KindError("All runs have a --relation; add the runs of the original tasks.")

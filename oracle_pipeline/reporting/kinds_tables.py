@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pandas as pd
 
 from oracle_pipeline.bags.terminal import aligned_lines
@@ -14,11 +15,7 @@ _FEW = 20  # most recordings without a label to show p-values of; JSON has all
 def as_text(comparison: KindsComparison, far: float) -> str:
     """Return the tables of oracles, of modes, and of recordings without a label."""
     oracles = comparison.oracles
-    written = oracles.get("written", pd.Series(0, oracles.index)).fillna(0)
-    count = written.map("{:.0f} ".format).where(written > 0, "")
-    shown = oracles.assign(needs=count + oracles["asks"])
-    if "seconds_a_run" in oracles:
-        shown["ms_a_run"] = 1e3 * oracles["seconds_a_run"]
+    shown = oracles.assign(ms_a_run=1e3 * oracles.get("seconds_a_run", np.nan))
     sections = [[f"Nominal false positive rate: {far:g}, sessions held out"]]
     sections.append([*table("kinds_in_terminal", shown).lines()])
     if "detection_rate" in oracles:  # there are enough runs for the rate

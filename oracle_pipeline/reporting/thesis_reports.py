@@ -6,6 +6,7 @@ them. `side_by_side` compares both variants with the printed results. Tables are
 """
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -16,6 +17,8 @@ from oracle_pipeline.evaluation.variants import VARIANTS, MethodVariant, Variant
 from oracle_pipeline.reporting import thesis_tables
 from oracle_pipeline.reporting.stored_report import Report
 from oracle_pipeline.reporting.thesis_tables import Bootstraps
+
+Facts: TypeAlias = dict[str, float | int | str]
 
 ROWS, MALICIOUS_RATE, SEED = 1000, 0.3, 50  # the thesis's bootstrap
 
@@ -44,7 +47,7 @@ def bootstrapped_dataset(
     rate = float(is_malicious(usable).mean()) if lacks else malicious_rate
     rows = by.draw(usable, n, rate, seed)
     runs = distinct_runs(rows)
-    summary: dict[str, float | int | str] = {
+    summary: Facts = {
         "rows": n,
         "runs": len(runs),
         "malicious_rate": rate,
@@ -59,7 +62,7 @@ def bootstrapped_dataset(
     return Report(rows, summary | _variant_facts(by))
 
 
-def _variant_facts(variant: MethodVariant) -> dict[str, float | int | str]:
+def _variant_facts(variant: MethodVariant) -> Facts:
     """Return the variant of a report and its warning, for a summary."""
     warning = {"warning": THESIS_WARNING} if variant.name == "thesis" else {}
     return {"variant": str(variant.name), **warning}
@@ -83,7 +86,7 @@ def clustering_grid_search(
     by = VARIANTS[variant]
     rng = np.random.default_rng(SEED)
     table = thesis_tables.grid_search_table(rows, rng, by, thresholds)
-    summary: dict[str, float | int | str] = {"settings": len(table), "note": lacking(rows)}
+    summary: Facts = {"settings": len(table), "note": lacking(rows)}
     return Report(table, summary | _variant_facts(by))
 
 
@@ -103,7 +106,7 @@ def malicious_rate_report(
     by = VARIANTS[variant]
     drawn = Bootstraps(n, MALICIOUS_RATE, seed, np.random.default_rng(seed), by)
     table = thesis_tables.malicious_rate_table(df, drawn)
-    summary: dict[str, float | int | str] = {"rows": n, "seed": seed, "note": lacking(df)}
+    summary: Facts = {"rows": n, "seed": seed, "note": lacking(df)}
     return Report(table, summary | _variant_facts(by))
 
 
@@ -122,11 +125,7 @@ def pairwise_report(
     drawn = Bootstraps(n, malicious_rate, seed, np.random.default_rng(seed), by)
     parts = [thesis_tables.family_table(df, drawn), thesis_tables.pairwise_table(df, drawn)]
     table = pd.concat(parts, ignore_index=True)
-    summary: dict[str, float | int | str] = {
-        "rows": n,
-        "malicious_rate": malicious_rate,
-        "seed": seed,
-    }
+    summary: Facts = {"rows": n, "malicious_rate": malicious_rate, "seed": seed}
     return Report(table, summary | _variant_facts(by))
 
 
@@ -140,7 +139,7 @@ def side_by_side(
     """
     drawn = Bootstraps(n, malicious_rate, seed, np.random.default_rng(seed))
     table = thesis_tables.side_by_side_table(df, drawn)
-    summary: dict[str, float | int | str] = {
+    summary: Facts = {
         "rows": n,
         "malicious_rate": malicious_rate,
         "seed": seed,

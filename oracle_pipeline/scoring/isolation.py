@@ -65,16 +65,35 @@ class Extracted(NamedTuple):
     faults: Sequence[str] = ()  # found by the check
 
 
+class Reading(NamedTuple):
+    """How a recording is read.
+
+    Attributes
+    ----------
+    strict : bool
+        Refuse an incomplete recording.
+    choices : RoleChoices, optional
+        Robots and topics from a roles file.
+    known : Known, optional
+        Topics of the reference that the recording is compared with.
+    paced : bool
+        Whether to measure what a reference needs: the paces of topics, and the start.
+    check : callable, optional
+        Looks for faults that need no reference.
+    """
+
+    strict: bool = False
+    choices: RoleChoices | None = None
+    known: Known | None = None
+    paced: bool = False
+    check: Check | None = None
+
+
 def extract_isolated(
     path: Path,
     manager: FeatureManager,
     limits: Limits = DEFAULT_LIMITS,
-    *,
-    strict: bool = False,
-    choices: RoleChoices | None = None,
-    known: Known | None = None,
-    paced: bool = False,
-    check: Check | None = None,
+    reading: Reading = Reading(),  # noqa: B008 -- immutable
 ) -> list[Extracted]:
     """Compute the features of a recording in another process.
 
@@ -86,16 +105,7 @@ def extract_isolated(
         As returned by `build_manager`; the process builds its own with the same plugins.
     limits : Limits
         Of that process.
-    strict : bool
-        Refuse an incomplete recording.
-    choices : RoleChoices, optional
-        Robots and topics from a roles file.
-    known : Known, optional
-        Topics of the reference that the recording is compared with.
-    paced : bool
-        Whether to measure what a reference needs: the paces of topics, and the start.
-    check : callable, optional
-        Looks for faults that need no reference.
+    reading : Reading
 
     Returns
     -------
@@ -107,50 +117,30 @@ def extract_isolated(
     OracleError
         If the recording cannot be read, or its process died or exceeded the limits.
     """
-    work = partial(
-        extracted,
-        plugins=manager.folder,
-        strict=strict,
-        choices=choices,
-        known=known,
-        paced=paced,
-        check=check,
-    )
-    return run_isolated(work, path, limits)
+    return run_isolated(partial(extracted, plugins=manager.folder, reading=reading), path, limits)
 
 
 def extracted(
     path: Path,
     plugins: Path | None = None,
-    *,
-    strict: bool = False,
-    choices: RoleChoices | None = None,
-    known: Known | None = None,
-    paced: bool = False,
-    check: Check | None = None,
+    reading: Reading = Reading(),  # noqa: B008 -- immutable
 ) -> list[Extracted]:
     """Compute the features of a recording in this process; otherwise as `extract_isolated`."""
-    with open_run(path, strict=strict) as run:
+    with open_run(path, strict=reading.strict) as run:
         manager = build_manager(plugins)
         return [
-            _of_robot(str(path), run, robot, manager, check, paced=paced)
-            for robot in find_robots(run.bag, choices, known)
+            _of_robot(str(path), run, robot, manager, reading)
+            for robot in find_robots(run.bag, reading.choices, reading.known)
         ]
 
 
 def _of_robot(
-    path: str,
-    run: OpenedRun,
-    robot: Robot,
-    manager: FeatureManager,
-    check: Check | None,
-    *,
-    paced: bool,
+    path: str, run: OpenedRun, robot: Robot, manager: FeatureManager, reading: Reading
 ) -> Extracted:
-    observer = Observer(robot.bag, paced=paced)
-    tables, length_s, faults = _tables(run, robot, manager, observer, check)
+    observer = Observer(robot.bag, paced=reading.paced)
+    tables, length_s, faults = _tables(run, robot, manager, observer, reading.check)
     seen = interfaces(observer, run, robot, length_s)
-    origin = origin_of(run, robot, starts=paced)
+    origin = origin_of(run, robot, starts=reading.paced)
     return Extracted(of_robot(path, robot.name), tables, seen, origin, faults)
 
 

@@ -35,6 +35,7 @@ from oracle_pipeline.scoring.isolation import (
     Check,
     Extracted,
     Limits,
+    Reading,
     extract_isolated,
 )
 from oracle_pipeline.scoring.lengths import comparable_tables, is_outside
@@ -130,20 +131,12 @@ def score(
     known = reference.known
     if choices is None and reference.roles is not None:
         choices = reference.roles if known is None else replace(reference.roles, topics={})
+    reading = Reading(strict, choices, known, check=check)
     paths = [each for path in recordings for each in list(recordings_below(path)) or [path]]
     verdicts = [
         verdict
         for path in progress_bar(paths, unit="recording")
-        for verdict in _judge_robots(
-            path,
-            reference,
-            manager,
-            limits,
-            strict=strict,
-            choices=choices,
-            known=known,
-            check=check,
-        )
+        for verdict in _judge_robots(path, reference, manager, limits, reading)
     ]
     if not hold_to_contract:
         verdicts = [replace(each, contract=()) for each in verdicts]
@@ -211,21 +204,11 @@ def _unsupported(blocks: int, size: int, far: float) -> str:
 
 
 def _judge_robots(
-    path: Path,
-    reference: CardSource,
-    manager: FeatureManager,
-    limits: Limits,
-    *,
-    strict: bool,
-    choices: RoleChoices | None,
-    known: Known | None,
-    check: Check | None,
+    path: Path, reference: CardSource, manager: FeatureManager, limits: Limits, reading: Reading
 ) -> list[Verdict]:
     """Return a verdict for each robot of a recording, or one verdict with the error."""
     try:
-        robots = extract_isolated(
-            path, manager, limits, strict=strict, choices=choices, known=known, check=check
-        )
+        robots = extract_isolated(path, manager, limits, reading)
     except (OracleError, OSError) as error:
         return [Verdict(str(path), "error", error=str(error))]
     return [_judge_robot(each, reference) for each in robots]

@@ -7,12 +7,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from oracle_pipeline.bags.terminal import aligned_lines
-from oracle_pipeline.detectors import FamilyDeviation
+from oracle_pipeline.detectors import FamilyDeviation, explain
 from oracle_pipeline.scoring.alarms import RATE_PER_H
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.conformal import runs_needed
-from oracle_pipeline.scoring.outliers import outliers
 from oracle_pipeline.scoring.selection import recordings_for
 from oracle_pipeline.scoring.sentences import far_out, headline, rounded
 from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
@@ -50,6 +51,7 @@ BREACH = (
 
 MOST_BREACHES = 10  # of the contract that are shown at once
 
+_OUTLYING = 5.0  # spreads of the normal scores above their median
 _MOST_OUTLIERS = 5  # recordings of a card that are listed
 _MOST_NOTES = 8  # on the reference that are shown below verdicts
 
@@ -262,20 +264,25 @@ def _contract_as_text(card: ReferenceCard) -> str:
 
 
 def _outliers_as_text(card: ReferenceCard) -> list[str]:
-    """List the recordings that may not be normal."""
-    found = list(outliers(card))
+    """List the recordings that may not be normal: a failed one among them hides attacks."""
+    scores = card.scorer.held_out_
+    found = [row for row in np.argsort(-scores, kind="stable") if scores[row] >= _OUTLYING]
     if not found:
         return []
-    shown = [
-        f"    {each.name}: score {each.score:.3g}"
-        + (f", {each.farthest.feature} = {each.farthest.value:.3g}" if each.farthest else "")
-        for each in found[:_MOST_OUTLIERS]
-    ]
     return [
         f"Unlike the others: {_count(len(found), 'recording')}. Each raises the score that an "
         "attack must exceed. Remove failed recordings, and learn again.",
-        *shown,
+        *(_outlier_as_text(card, row) for row in found[:_MOST_OUTLIERS]),
     ]
+
+
+def _outlier_as_text(card: ReferenceCard, row: int) -> str:
+    """Return score and most unusual feature of a recording, compared with other blocks."""
+    runs = card.runs
+    others = runs[runs["block"] != runs["block"].iloc[row]]
+    deviations = explain(others, runs.iloc[[row]], card.scorer.design.run_features)
+    told = [f", {each.feature} = {each.value:.3g}" for each in deviations[:1]]
+    return f"    {runs['run_id'].iloc[row]}: score {card.scorer.held_out_[row]:.3g}{''.join(told)}"
 
 
 def _remarks(verdict: Verdict) -> list[str]:

@@ -21,7 +21,7 @@ from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.blocks import Origin, blocks
 from oracle_pipeline.scoring.comparable import join_first
 from oracle_pipeline.scoring.contract import Observation
-from oracle_pipeline.scoring.isolation import extract_isolated
+from oracle_pipeline.scoring.isolation import Reading, extract_isolated
 from oracle_pipeline.scoring.verdict import ScoringError
 from oracle_pipeline.windows import SHORTEST_S
 
@@ -114,7 +114,7 @@ def _extracted(
     recordings = list(dict.fromkeys(each for found in below.values() for each in found))
     for path in progress_bar(recordings, unit="recording", desc="reference"):
         try:
-            robots = extract_isolated(path, manager, choices=choices, paced=True)
+            robots = extract_isolated(path, manager, reading=Reading(choices=choices, paced=True))
         except (OracleError, OSError) as error:
             notes.append(f"{path} is left out of the reference: {error}")
             continue

@@ -90,7 +90,7 @@ def scored(path: Path) -> tuple[float, str]:
 
 def _peak_mib(path: Path) -> float:
     with suppress(OracleError):  # a refused recording takes memory, too
-        extracted(path, None, strict=False, choices=None, paced=False)
+        extracted(path)
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 

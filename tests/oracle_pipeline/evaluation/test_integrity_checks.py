@@ -1,5 +1,4 @@
 import numpy as np
-import pandas as pd
 import pytest
 
 from oracle_pipeline.evaluation import integrity_checks as checks
@@ -125,13 +124,3 @@ def test_hard_negatives_of_too_few_blocks_are_not_green_but_can_be_red():
     few = synthetic(4)
     wrong = scores_of(few, np.full(len(few.features), 0.01))
     assert checks.hard_negatives(wrong, few, rng()).status == "red"
-
-
-def test_the_banner_has_all_checks_that_are_not_green():
-    green = checks.equal_graphs([])
-    unknown = checks.equal_graphs(None)
-    assert checks.banner([green, green]) == ""
-    assert checks.banner([green, unknown]).startswith("graphs_of_pairs_are_equal is unsupported")
-    assert set(pd.DataFrame([green.columns()])) == {
-        "name", "status", "sentence", "figure", "figure_low", "figure_high"
-    }  # fmt: skip

@@ -50,12 +50,6 @@ def test_shortcuts_and_thesis_features_are_in_separate_sets():
     assert set(sets["all"]) == own | {"redundancy.residual", "pairs.rate_ratio"}
     assert sets["misbehaviour"] == ["contextual.yaw_variance", "contextual.duration"]
     assert sorted(sets["tampering"] + sets["misbehaviour"]) == sorted(sets["all"])
-    assert sets["shortcuts"] == ["generic.identity"]
-    assert set(sets["without redundancy"]) == own
-    assert sets["redundancy"] == ["redundancy.residual"]
-    assert sets["generic"] == [
-        "structural.density", "structural.entropy", "contextual.yaw_variance"
-    ]  # fmt: skip
 
 
 def test_the_truth_table_has_the_values_of_the_manifests():

@@ -34,9 +34,6 @@ class Drawn:
     def learn(self, normal):
         return self
 
-    def written(self):
-        return 0
-
     def score(self, runs):
         return np.random.default_rng(self.seed).normal(size=len(runs.traces))
 
@@ -152,7 +149,6 @@ def test_a_kind_of_oracle_comes_from_the_plugin_folder(tmp_path):
         "class Slow:\n"
         "    name, asks = 'slow', 'patience'\n"
         "    def learn(self, normal): return self\n"
-        "    def written(self): return 1\n"
         "    def score(self, runs): return np.array([-t['speed'].mean() for t in runs.traces])\n"
         "@hookimpl\n"
         "def register_oracles(): return [lambda material: Slow()]\n"
