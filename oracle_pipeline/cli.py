@@ -78,16 +78,10 @@ def main() -> None:
     """  # noqa: D301 -- click reads the control character
 
 
-main.add_command(import_logs)
-main.add_command(card)
-main.add_command(check)
-main.add_command(replay)
-main.add_command(watch)
-main.add_command(recover)
-main.add_command(compare)
-main.add_command(kinds)
-main.add_command(review)
-main.add_command(invariants)
+for command in (
+    import_logs, card, check, replay, watch, recover, compare, kinds, review, invariants,
+):  # fmt: skip
+    main.add_command(command)
 
 
 _strict = click.option(
@@ -185,11 +179,10 @@ def features(
 
 def _print_roles(recording: Path, *, strict: bool) -> None:
     from oracle_pipeline.opened_run import open_run
-    from oracle_pipeline.robots.output import as_text
-    from oracle_pipeline.robots.robot import find_robots
+    from oracle_pipeline.robots.robot import find_robots, roles_as_text
 
     with open_run(recording, strict=strict) as run:
-        click.echo(as_text(find_robots(run.bag)))
+        click.echo(roles_as_text(find_robots(run.bag)))
 
 
 def _is_nan(value: object) -> bool:

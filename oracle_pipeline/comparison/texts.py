@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterator, Sequence
 
 from oracle_pipeline.bags.terminal import aligned_lines, printable
-from oracle_pipeline.comparison.measurements import family_of
 from oracle_pipeline.comparison.set_comparison import (
     ComparisonOutcome,
     Difference,
@@ -45,7 +44,6 @@ def as_text(comparison: SetComparison) -> str:
         lines += ["", *aligned_lines([_HEADINGS, *map(_cells, shown)], indent="    ")]
         if more := len(comparison.differences) - len(shown):
             lines.append(f"    and {more} more; --format json lists all")
-        lines += ["", *(f"    {line}" for line in _by_family(comparison))]
     lines += ["", *_basis(comparison), *comparison.notes, _NEXT[comparison.outcome]]
     return "\n".join(lines)
 
@@ -147,13 +145,6 @@ def _basis(comparison: SetComparison) -> Iterator[str]:
         f"{comparison.level:.3g} (permutation test). Effect, from -1 to 1: how often the value is "
         "larger in B, minus how often it is smaller."
     )
-
-
-def _by_family(comparison: SetComparison) -> Iterator[str]:
-    for family, compared in comparison.compared.items():
-        found = sum(family_of(each.feature) == family for each in comparison.differences)
-        if found:
-            yield f"{family}: {found} of {compared} features differ"
 
 
 def _cells(difference: Difference) -> tuple[str, ...]:

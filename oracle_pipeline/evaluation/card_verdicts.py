@@ -92,10 +92,7 @@ def card_folds(df: pd.DataFrame, seed: int) -> list[Fold]:
 
 
 def card_verdicts(
-    runs: MeasuredRuns,
-    folds: Sequence[Fold],
-    observations: Observations | None = None,
-    rate: float = RATE,
+    runs: MeasuredRuns, folds: Sequence[Fold], observations: Observations | None = None
 ) -> CardVerdicts:
     """Judge the tested runs of each fold by a card of its other normal runs.
 
@@ -106,8 +103,6 @@ def card_verdicts(
         Cards are learned from the rows to fit and to calibrate.
     observations : mapping of str to Observation, optional
         Interfaces of the runs. Cards have a contract if all runs that they learn from are in it.
-    rate : float
-        Nominal false positive rate.
     """
     seen = observations or {}
     # Copies are of one piece, from which pandas selects rows many times as fast.
@@ -116,7 +111,7 @@ def card_verdicts(
     for fold in folds:
         if (card := _card(runs, fold.fit | fold.calibrate, seen)) is not None:
             tested = np.flatnonzero(fold.test).tolist()
-            judged = judge_all([_recording(runs, row, seen) for row in tested], card, rate)
+            judged = judge_all([_recording(runs, row, seen) for row in tested], card, RATE)
             for row, verdict in zip(tested, judged, strict=True):
                 verdicts[row] = verdict
     return CardVerdicts(tuple(verdicts))

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.datasets import is_malicious
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns, require_runs
-from oracle_pipeline.windows import WINDOW_S
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -43,12 +42,6 @@ class JudgedRuns(MeasuredRuns):
         runs = MeasuredRuns.ordered(features[judged], windows)
         truth_of_runs = truth_of_all.loc[runs.features["run_id"]].reset_index()
         return cls(runs.features, runs.windows, runs.run, truth_of_runs)
-
-    @property
-    def end_s(self) -> NDArray[np.float64]:
-        """End of each window [s of the recording], shape (n_windows,)."""
-        recorded = self.truth["recording_s"].to_numpy(dtype=np.float64)[self.run]
-        return np.asarray(np.minimum(self.start_s + WINDOW_S, recorded), dtype=np.float64)
 
     @property
     def onset_s(self) -> NDArray[np.float64]:

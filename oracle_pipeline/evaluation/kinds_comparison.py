@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import OracleError
@@ -125,7 +124,8 @@ def _rates(verdict: KindScores, runs: TracedRuns, rate: float, rng: np.random.Ge
     blocks, needed = len(np.unique(block[runs.normal])), runs_needed(rate) + 1
     supported = blocks >= needed  # a run's own block has no vote
     harmless = is_hard_negative(runs.table)
-    row: Row = {"rate": rate, **_area(verdict.score, runs, rng)}
+    distinct = DistinctRuns.once(runs.malicious | runs.normal, runs.malicious, block)
+    row: Row = {"rate": rate, **auc(verdict.score[distinct.first], distinct, rng).columns("auc")}
     for name, group in (
         ("detection_rate", runs.malicious),
         ("false_alarm_rate", runs.normal),
@@ -138,8 +138,3 @@ def _rates(verdict: KindScores, runs: TracedRuns, rate: float, rng: np.random.Ge
             f"record {needed}, or allow a higher rate"
         )
     return row
-
-
-def _area(score: NDArray[np.float64], runs: TracedRuns, rng: np.random.Generator) -> Row:
-    distinct = DistinctRuns.once(runs.malicious | runs.normal, runs.malicious, runs.block)
-    return dict(auc(score[distinct.first], distinct, rng).columns("auc"))

@@ -123,9 +123,8 @@ class _DdsIntake(Intake):
                     for reader in ready
                     for raw in self._taken(reader)
                 ]
-                came.sort(
-                    key=lambda each: each.sent_ns
-                )  # in sending order, if the senders' clocks agree
+                # In sending order, if the senders' clocks agree.
+                came.sort(key=lambda each: each.sent_ns)
                 self.put(came)
         except DdsError as error:
             with self._lock:

@@ -42,8 +42,7 @@ def calibrated(kind: OracleKind, runs: TracedRuns) -> KindScores:
     ConformalError
         Fewer than three blocks of normal runs.
     """
-    normal = runs.normal
-    return _judge_by_votes(_fold_scores(kind, runs, normal), runs, normal)
+    return _judge_by_votes(_fold_scores(kind, runs), runs)
 
 
 def union(verdicts: Sequence[KindScores], runs: TracedRuns) -> KindScores:
@@ -57,7 +56,7 @@ def union(verdicts: Sequence[KindScores], runs: TracedRuns) -> KindScores:
     normal = runs.normal
     units = [_in_tail_units(each.score, each.score[normal]) for each in verdicts]
     fold = _folds(runs.where(normal))
-    return _judge_by_votes(np.tile(np.max(units, axis=0), (fold.max() + 1, 1)), runs, normal)
+    return _judge_by_votes(np.tile(np.max(units, axis=0), (fold.max() + 1, 1)), runs)
 
 
 def _in_tail_units(score: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -71,10 +70,9 @@ def _in_tail_units(score: NDArray[np.float64], normal: NDArray[np.float64]) -> N
     return np.asarray(np.clip(units, -_FAR, _FAR), dtype=np.float64)
 
 
-def _fold_scores(
-    kind: OracleKind, runs: TracedRuns, normal: NDArray[np.bool_]
-) -> NDArray[np.float64]:
+def _fold_scores(kind: OracleKind, runs: TracedRuns) -> NDArray[np.float64]:
     """Return the scores of all runs by the model of each fold, shape (n_folds, n_runs)."""
+    normal = runs.normal
     rows, fold = np.flatnonzero(normal), _folds(runs.where(normal))
     scores: list[NDArray[np.float64]] = []
     for number in range(fold.max() + 1):
@@ -95,12 +93,10 @@ def _folds(normal: TracedRuns) -> NDArray[np.intp]:
     return assign_folds(unit, FOLDS, np.random.default_rng(_SEED))
 
 
-def _judge_by_votes(
-    scores: NDArray[np.float64], runs: TracedRuns, normal: NDArray[np.bool_]
-) -> KindScores:
+def _judge_by_votes(scores: NDArray[np.float64], runs: TracedRuns) -> KindScores:
     """Compute p-values from the votes of normal blocks; `scores` has shape (n_folds, n_runs)."""
+    normal = runs.normal
     votes = CrossConformalScorer(Design(LargestZ(), (), (), {}))  # only for its folds and votes
     votes.fold_, votes.block_ = _folds(runs.where(normal)), runs.block[normal]
-    held_out = scores[votes.fold_, np.flatnonzero(normal)]
-    votes.held_out_ = held_out
+    votes.held_out_ = scores[votes.fold_, np.flatnonzero(normal)]
     return KindScores(votes.own_score(scores, runs.block), votes.p_values(scores, runs.block))

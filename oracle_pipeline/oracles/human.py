@@ -231,11 +231,6 @@ def interview(
             yield names[chosen], answer
 
 
-def with_answers(material: Material, answers: Mapping[str, bool]) -> Material:
-    """Return the material with other answers."""
-    return replace(material, answers=dict(answers))
-
-
 def answered_by_labels(material: Material, count: int) -> Material:
     """Return the material with `count` more answers, taken from labels instead of a person.
 
@@ -248,7 +243,7 @@ def answered_by_labels(material: Material, count: int) -> Material:
         answers = dict(interview(material, lambda run: bad[run] if run in known else None, count))
     except KindError:
         return material
-    return with_answers(material, {**material.answers, **answers})
+    return replace(material, answers={**material.answers, **answers})
 
 
 def evidence(material: Material, run: str) -> list[str]:

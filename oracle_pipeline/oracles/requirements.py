@@ -115,21 +115,17 @@ def dump(requirements: Iterable[Requirement], head: str, learned_from: Iterable[
     return "\n".join(lines) + "\n"
 
 
-def violations(
-    requirements: Sequence[Requirement], traces: Iterable[pd.DataFrame]
-) -> NDArray[np.float64]:
-    """Return the violation of each requirement by each trace, in scales; negative if it holds.
+def violations(requirements: Sequence[Requirement], trace: pd.DataFrame) -> NDArray[np.float64]:
+    """Return the violation of each requirement by a trace, in scales; negative if it holds.
 
     Returns
     -------
-    ndarray of shape (n_traces, n_requirements)
+    ndarray of shape (n_requirements,)
         NaN where the trace lacks a signal of the formula.
     """
-    parsed = [sentil.Formula.parse(each.formula) for each in requirements]
+    robustness = [_robustness(sentil.Formula.parse(each.formula), trace) for each in requirements]
     scales = np.array([each.scale for each in requirements])
-    robustness = [[_robustness(formula, trace) for formula in parsed] for trace in traces]
-    shaped = np.array(robustness, dtype=np.float64).reshape(-1, len(requirements))
-    beyond = np.clip(-shaped / scales, -FARTHEST, FARTHEST)
+    beyond = np.clip(-np.array(robustness, dtype=np.float64) / scales, -FARTHEST, FARTHEST)
     return np.asarray(beyond, dtype=np.float64)
 
 

@@ -20,8 +20,7 @@ class _Violations:
     requirements: tuple[Requirement, ...]
 
     def __call__(self, trace: pd.DataFrame) -> NDArray[np.float64]:
-        (of_trace,) = violations(self.requirements, [trace])
-        return np.asarray(of_trace, dtype=np.float64)
+        return violations(self.requirements, trace)
 
 
 class Specified:

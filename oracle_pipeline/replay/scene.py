@@ -83,9 +83,8 @@ class ReplayScene:
     onset_s: float | None = None  # of the attack
     disc: tuple[float, float, float] | None = None  # x, y, radius of the fake object
     obstacle: tuple[float, float, float] | None = None  # x, y, radius of a real unmapped one
-    scan: NDArray[np.float64] | None = (
-        None  # (m, 2), points of one scan: attacked, if there is an attack
-    )
+    # (m, 2), points of one scan: attacked, if there is an attack
+    scan: NDArray[np.float64] | None = None
     moments: tuple[Moment, ...] = ()  # in order of time; empty for a still picture
 
     def reached(self, time_s: float = np.inf) -> NDArray[np.bool_]:

@@ -4,6 +4,7 @@ Heavy imports are inside the commands, so that ``--help`` stays fast.
 """
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -144,7 +145,7 @@ def review(
     for run, bad in human.interview(material, ask, count):
         given[run] = bad
         human.save_answers(given, answers)
-    click.echo(human.learned_line(human.with_answers(material, given)))
+    click.echo(human.learned_line(replace(material, answers=given)))
     told = shlex.join(["oracle", "kinds", *map(str, recordings), "--answers", str(answers)])
     click.echo(f"Next: {told}")
 

@@ -5,7 +5,7 @@ robot, such as a shared ``/map`` or ``/tf``. So features do not depend on the na
 reference card that was learned on one robot can score another.
 """
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from oracle_pipeline.bags.reader import BagReader, Topic
@@ -210,3 +210,23 @@ def _kinds(topics: Iterable[Topic]) -> set[str]:
     types = {topic.msgtype for topic in topics}
     kinds = {kind for kind in (ODOMETRY, COMMAND, JOINTS) if types & set(ROLES[kind].types)}
     return kinds | ({LASER_SCAN} & types)
+
+
+def roles_as_text(robots: Sequence[Robot]) -> str:
+    """Return the topics of each role by robot, and ambiguities."""
+    return "\n\n".join("\n".join(_lines_of_roles(robot)) for robot in robots)
+
+
+def _lines_of_roles(robot: Robot) -> Iterator[str]:
+    if robot.name:
+        yield f"Robot {robot.name}: its topics without {robot.namespace}, and shared topics"
+    elif robot.namespace:
+        yield f"One robot: its topics without {robot.namespace}"
+    else:
+        yield "One robot"
+    width = max(map(len, robot.roles.found))
+    for role, found in robot.roles.found.items():
+        topics = ", ".join(found.topics) or "none"
+        yield f"  {role:{width}}  {topics} ({found.reason})"
+    for remark in (*robot.roles.notes, *robot.roles.ambiguities()):
+        yield f"  Note: {remark}"

@@ -140,13 +140,6 @@ class CrossConformalScorer:
         weight = self._weights(runs.counts)
         return np.stack([self._combined(scorer.score(seen), weight) for scorer in self.scorers_])
 
-    def by_level(self, runs: MeasuredRuns) -> dict[str, NDArray[np.float64]]:
-        """Return each run's score in each level, shape (n_runs,): the median over the folds."""
-        seen = runs.with_columns(self.design.run_columns, self.design.window_columns)
-        of_folds = np.stack([scorer.score(seen) for scorer in self.scorers_])
-        standard = (np.median(of_folds, axis=0) - self.centre_) / self.spread_
-        return dict(zip(self.levels_, standard.T, strict=True))
-
     def p_values(
         self, scores: NDArray[np.float64], block: NDArray[np.int64] | None = None
     ) -> NDArray[np.float64]:

@@ -82,9 +82,8 @@ class MessageLayout:
         if not self.has_header or len(data) < _SHORTEST_WITH_HEADER:
             return None
         stamp = _BIG_STAMP if self.is_cdr and not data[1] & _LITTLE_ENDIAN else _LITTLE_STAMP
-        sec, nanosec = stamp.unpack_from(
-            data, 4
-        )  # after the encapsulation, or ROS 1's sequence number
+        # After the encapsulation, or ROS 1's sequence number.
+        sec, nanosec = stamp.unpack_from(data, 4)
         return int(sec) * 1_000_000_000 + int(nanosec)
 
     def array(self, data: bytes) -> NDArray[np.floating[Any]] | None:

@@ -18,9 +18,8 @@ from oracle_pipeline.features.engine.columns import ColumnSource
 
 RAYS: Final = 360
 _HEIGHT_M: Final = 0.05  # from the plane, or, further away:
-_ELEVATION: Final = math.tan(
-    math.radians(1.5)
-)  # over the distance; sensors have a layer each 2 deg
+# Over the distance; sensors have a layer each 2 deg.
+_ELEVATION: Final = math.tan(math.radians(1.5))
 NEAREST_M, FARTHEST_M = 0.05, 200.0  # limits of returns
 
 _FLOATS = {7: "f4", 8: "f8"}  # by sensor_msgs/msg/PointField

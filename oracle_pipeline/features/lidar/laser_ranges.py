@@ -33,15 +33,11 @@ FEATURES = (
     Feature("non_finite_mean", "1", 1e-3, f"{_NON_FINITE}mean over the scanners", "domain"),
     Feature("non_finite_max", "1", 1e-3, f"{_NON_FINITE}maximum over the scanners", "domain"),
     Feature(
-        "clearance",
-        "m",
-        0.02,
+        "clearance", "m", 0.02,
         "range of the nearest return in a scan, 5th percentile over the scans, maximum over the "
-        "scanners",
-        "domain",
-        behaviour=True,
+        "scanners", "domain", behaviour=True,
     ),
-)
+)  # fmt: skip
 
 
 def keep(messages: Any) -> NDArray[np.float64]:

@@ -30,7 +30,7 @@ def of_two(pairs):
 
 
 def margin(formula, pairs):
-    (row,) = violations([Requirement("it", formula)], [of_two(pairs)])
+    row = violations([Requirement("it", formula)], of_two(pairs))
     return -row[0]
 
 
@@ -55,13 +55,13 @@ def test_a_command_held_for_half_a_second_must_be_followed(pairs):
 def test_violations_are_in_scales_and_nan_where_a_signal_is_not_recorded():
     fast = Requirement("fast", "always (speed <= 1)", 0.5)
     unknown = Requirement("unknown", "always (turn <= 1)")
-    (row,) = violations([fast, unknown], [of_two([(2.0, 0.0)])])
+    row = violations([fast, unknown], of_two([(2.0, 0.0)]))
     assert row[0] == pytest.approx(2.0)
     assert np.isnan(row[1])
 
 
 def test_a_normal_patrol_satisfies_the_shipped_requirements():
-    assert violations(load(NAV2), [trace(0)]).max() < 0.0
+    assert violations(load(NAV2), trace(0)).max() < 0.0
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_a_normal_patrol_satisfies_the_shipped_requirements():
 )
 def test_the_shipped_requirements_detect(altered, name):
     shipped = load(NAV2)
-    (row,) = violations(shipped, [trace(0, **altered)])
+    row = violations(shipped, trace(0, **altered))
     broken = {each.name for each, beyond in zip(shipped, row, strict=True) if beyond > 0.0}
     assert name in broken
 
@@ -120,7 +120,7 @@ def test_learned_invariants_are_equivalent_as_a_file_of_requirements(tmp_path):
     path.write_text(dump(learned.requirements(), HEAD), "utf-8")
     read = load(path)
     assert read == learned.requirements()
-    by_formula = np.nanmax(violations(read, runs.traces), axis=1)
+    by_formula = np.array([np.nanmax(violations(read, trace)) for trace in runs.traces])
     # Bounds in the file have four decimals, and are weaker than those learned by at most that.
     least = min(each.scale for each in read)
     assert by_formula == pytest.approx(learned.score(runs), abs=2e-4 / least)
