@@ -165,7 +165,7 @@ def recorded_runs(
     simulated, simulated_s, open_partitions, started = 0, 0.0, len(keys), time.monotonic()
     with contextlib.ExitStack() as stack:
         stack.enter_context(contextlib.redirect_stderr(startup_stderr.stderr()))
-        progress = stack.enter_context(RunProgress(len(jobs)))
+        progress = stack.enter_context(contextlib.closing(RunProgress(len(jobs))))
         if config.refresh or not all(job.directory.is_complete() for job in jobs):
             stack.enter_context(budget.alone(store))
         for outcome in _outcomes(jobs, store, fleet, budget):

@@ -5,7 +5,6 @@ import dagster as dg
 from assets import presentation
 from assets.aggregates import DATASET, TRUTH, WINDOWS, aggregate
 from assets.partitions import RUNS
-from oracle_pipeline.bags.manifest import Manifest
 from resources.failures import clear_failures
 from resources.store import RunStore
 
@@ -37,9 +36,7 @@ def feature_dataset(
     extracted = [run for run in runs if kept_tables(run)]
     with clear_failures():
         manifests = {run.key: run.manifest() for run in extracted if run.is_complete()}
-        too_short = sorted(
-            key for key, manifest in manifests.items() if not _node_started(manifest)
-        )
+        too_short = sorted(key for key, manifest in manifests.items() if manifest.onset_s is None)
         joined = [run for run in extracted if run.key not in too_short]
         df = datasets.feature_dataset(read_tables(joined, "run"))
         windows = datasets.window_dataset(read_tables(joined, "window"))
@@ -70,8 +67,3 @@ def feature_dataset(
             "dagster/column_schema": presentation.columns(df),
         },
     )
-
-
-def _node_started(manifest: Manifest) -> bool:
-    """Return whether the node of the mode ever started."""
-    return manifest.onset_s is not None

@@ -3,10 +3,13 @@
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.manifest import GoalResult, Outcome
+from sim.goal_progress import GoalProgress
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.testbed import Recipe
 from sim.testbed_run import TestbedRun
@@ -66,6 +69,8 @@ class GoalRun(TestbedRun):
     NODE: str  # name of the mode's node in every mode
     _executor: Executor
     _latency_ns: int
+    _odometer: Odometer
+    _progress: Sequence[GoalProgress]  # of the goals so far
 
     def __init__(self, recipe: Recipe, folder: Path) -> None:
         super().__init__(recipe, folder)
@@ -120,3 +125,22 @@ class GoalRun(TestbedRun):
     def _seconds(self, time_ns: int) -> float:
         """Return a time in seconds of the recording; times before its beginning become 0."""
         return max(time_ns - self._start_ns, 0) / SECOND
+
+    def _results(self) -> dict[str, Any]:
+        results = tuple(map(self._goal_result, self._progress, self._odometer.distances()))
+        # The worst of the goals; one that was never reached stands for those never sent.
+        failed = [result.outcome for result in results if result.outcome != "succeeded"]
+        return {
+            "goal_results": results,
+            "outcome": failed[0] if failed else "succeeded" if results else "aborted",
+            "onset_s": self._onset_s(),
+            "recording_s": self._seconds(self._end_ns),
+        }
+
+    def _goal_result(self, goal: GoalProgress, way_m: float) -> GoalResult:
+        ended_s = None if goal.ended_ns is None else self._seconds(goal.ended_ns)
+        outcome: Outcome = "timeout"  # the run ended before the goal did
+        if goal.outcome is not None:
+            outcome = "succeeded" if goal.outcome == "succeeded" else "aborted"
+        accepted_s = self._seconds(goal.accepted_ns)
+        return GoalResult(accepted_s, ended_s, outcome, way_m, goal.number_of_recoveries)

@@ -4,9 +4,11 @@
 """
 
 import json
+import pkgutil
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
+from types import UnionType
 from typing import TYPE_CHECKING, Any, Self, get_args, get_origin
 
 import numpy as np
@@ -146,17 +148,29 @@ class Recipe:
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:
         """Return the recipe from the result of ``to_dict``; tuples and dataclasses come back."""
-        recipe: Self = _from_json(cls, document)
+        recipe: Self = from_json(cls, document)
         return recipe
 
 
-def _from_json(kind: Any, value: Any) -> Any:
-    """Return a value from JSON as one of a type."""
+def later(place: str) -> Callable[..., Any]:
+    """Return a function that imports ``module:name`` only when it is called, as that takes long."""
+    return lambda *arguments: pkgutil.resolve_name(place)(*arguments)
+
+
+def from_json(kind: Any, value: Any) -> Any:
+    """Return a value from JSON as one of a type; of several dataclasses, that with its fields."""
+    if isinstance(kind, UnionType) and isinstance(value, Mapping):
+        of_fields = {
+            frozenset(item.name for item in fields(each)): each
+            for each in get_args(kind)
+            if is_dataclass(each)
+        }
+        kind = of_fields[frozenset(value)]
     if isinstance(kind, type) and is_dataclass(kind):
         types = {item.name: item.type for item in fields(kind)}
-        return kind(**{name: _from_json(types[name], part) for name, part in value.items()})
+        return kind(**{name: from_json(types.get(name), part) for name, part in value.items()})
     if get_origin(kind) is tuple:
-        return tuple(_from_json(get_args(kind)[0], part) for part in value)
+        return tuple(from_json(get_args(kind)[0], part) for part in value)
     return value
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from oracle_pipeline.bags.integrity import hashes_of_files
-from oracle_pipeline.bags.manifest import Manifest, Measured, Software, TopicCount
+from oracle_pipeline.bags.manifest import Manifest, Measured, Pose, Software, TopicCount
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, bytes_on_disk
 from oracle_pipeline.bags.writer import BagWriter
 from sim.fuzzing.compilation import compile_document
@@ -51,9 +51,13 @@ class TestbedRun(ABC):
     def go(self) -> None:
         """Execute the run; write bag and graphs."""
 
-    @abstractmethod
     def manifest(self, wall_s: float, software: Software) -> Manifest:
         """Return the facts of the finished run for its manifest."""
+        return Manifest(**{**self._facts(wall_s, software), **self._results()})
+
+    @abstractmethod
+    def _results(self) -> dict[str, Any]:
+        """Return the fields of the manifest that depend on the testbed and on how the run went."""
 
     def _join(self, name: str, latency_ns: int) -> ScenarioNode:
         """Add the mode's node to the graph."""
@@ -91,6 +95,12 @@ class TestbedRun(ABC):
             "attack_seed": recipe.attack_seed(),
             "scenario": scenario.id,
             "scenario_hash": scenario.digest,
+            "start": Pose(0.0, 0.0, 0.0),
+            "goals": (),
+            "goal_results": (),
+            "outcome": "succeeded",
+            "attack": recipe.parameters,
+            "contacts": (),
             "task_effect": None,  # until both the run and its control exist
             "changes": () if self.node is None else self.node.changes(self._start_ns),
             "topics": topics,

@@ -6,10 +6,9 @@ The first two are entry points of one group. One that cannot be loaded is left o
 import os
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points, version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.sources import dependencies
@@ -32,25 +31,22 @@ class TestbedError(OracleError):
     """A testbed does not exist, or cannot be loaded."""
 
 
-@dataclass(frozen=True, slots=True)
-class TestbedFile:
-    """A testbed of commands, in a YAML file."""
+class TestbedFile(NamedTuple):
+    """A testbed of commands, in a YAML file: like an entry point."""
 
-    file: Path
-
-    @property
-    def name(self) -> str:
-        """Of the testbed: that of its file."""
-        return self.file.stem
-
-    @property
-    def value(self) -> str:
-        """The place."""
-        return str(self.file)
+    name: str
+    value: str  # path of the file
 
     def load(self) -> Testbed:
         """Return the testbed."""
-        return read_testbed(self.file)
+        return read_testbed(Path(self.value))
+
+
+def _testbed_files() -> list[TestbedFile]:
+    """Return the files in the user's folder."""
+    folder = os.environ.get(FOLDER)
+    files = sorted(Path(folder).glob("*.yaml")) if folder else []
+    return [TestbedFile(file.stem, str(file)) for file in files]
 
 
 def load_testbeds(
@@ -87,10 +83,7 @@ TESTBEDS, BROKEN_TESTBEDS = load_testbeds(
     [
         *(EntryPoint(name, place, GROUP) for name, place in BUILT_IN.items()),
         *sorted(entry_points(group=GROUP), key=lambda point: (point.name, point.value)),
-        *map(
-            TestbedFile,
-            sorted(Path(os.environ[FOLDER]).glob("*.yaml")) if os.environ.get(FOLDER) else (),
-        ),
+        *_testbed_files(),
     ]
 )
 

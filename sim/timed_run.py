@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from oracle_pipeline.bags.manifest import Manifest, Pose, Software
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND, Executor
 from sim.testbed import Recipe
@@ -73,19 +73,11 @@ class TimedRun(TestbedRun):
         with self._recorded():
             self._executor.run_until(self._start_ns + round(self._duration_s * SECOND))
 
-    def manifest(self, wall_s: float, software: Software) -> Manifest:
-        """Return the facts of the finished run for its manifest."""
+    def _results(self) -> dict[str, Any]:
         onset_s = (self._onset_ns - self._start_ns) / SECOND
-        return Manifest(
-            **self._facts(wall_s, software),
-            session=self._session,
-            world=self._world,
-            start=Pose(0.0, 0.0, 0.0),
-            goals=(),
-            goal_results=(),
-            outcome="succeeded",
-            onset_s=onset_s if onset_s <= self._duration_s else None,
-            attack=self._recipe.parameters,
-            recording_s=self._duration_s,
-            contacts=(),
-        )
+        return {
+            "session": self._session,
+            "world": self._world,
+            "onset_s": onset_s if onset_s <= self._duration_s else None,
+            "recording_s": self._duration_s,
+        }

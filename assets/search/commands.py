@@ -1,6 +1,7 @@
 """``oracle-sim search``: search for attacks that the oracle misses."""
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -131,7 +132,7 @@ def search(
         space = attacks(template, controls, settings)
         click.echo(f"Varying {space.text}.")
         search = Search(out, space, settings, controls, of_runs.seed)
-        _follow(search.run(limit, workers, _print_failure))
+        _follow(search.run(limit, workers, partial(click.echo, err=True)))
         findings = search.findings
         files = save(out, findings, search.front, far, corpus or out / MISSES)
     click.echo(
@@ -157,7 +158,3 @@ def _follow(trials: "Iterator[Finding]") -> None:
                 f"Miss: trial {finding.proposal.run} ({values}): effect {finding.effect:.2g}, "
                 f"p = {finding.p_value:.2g}"
             )
-
-
-def _print_failure(reason: str) -> None:
-    click.echo(reason, err=True)

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import click
 
-from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.integrity import damaged_files
 from oracle_pipeline.bags.manifest import KEPT, Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
@@ -18,7 +17,7 @@ from resources.storage.stock import (
     storage_of_modes,
     take_stock,
 )
-from sim.commands.batch import home
+from sim.commands.batch import home, short_errors
 from sim.experiments import remake_run
 
 
@@ -35,10 +34,8 @@ def storage(root: Path) -> None:
     Example:
         ORACLE_STORAGE_BUDGET=20GiB oracle-sim storage
     """  # noqa: D301 -- click reads the control character
-    try:
+    with short_errors():
         budget = parse_budget(os.environ.get(BUDGET_VARIABLE, ""))
-    except OracleError as error:
-        raise click.ClickException(str(error)) from error
     stock = take_stock(root.resolve())
     capacity = stock.total + stock.free
     limit = capacity if budget is None else min(budget, capacity)
@@ -81,7 +78,7 @@ def remake(run: Path) -> None:
     Example:
         oracle-sim remake data/runs/fake_object/run003
     """  # noqa: D301 -- click reads the control character
-    try:
+    with short_errors():
         directory = RunDirectory.at(run)
         with directory.held():
             previous = directory.manifest()
@@ -89,8 +86,6 @@ def remake(run: Path) -> None:
                 click.echo(f"{run} has its complete bag.")
                 return
             manifest = remake_run(previous, directory)
-    except OracleError as error:
-        raise click.ClickException(str(error)) from error
     click.echo(f"{run}: re-simulated a bag of {megabytes(manifest.measured.bytes['bag'])}.")
     if manifest.content_hash != previous.content_hash:
         click.echo(

@@ -11,7 +11,7 @@ surveillance (SUR.ET1.ST01.1000-STD-01-01: primary 120 m, 0.15 deg, 90 %; second
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -181,7 +181,7 @@ class _Radar(Node):
 
     Parameters
     ----------
-    domain, name, rng
+    domain, rng
         As for `Node`.
     measure
         Returns the numbers of the flights in the air now, and their exact states, columns as in
@@ -190,19 +190,23 @@ class _Radar(Node):
         Its random errors.
     """
 
+    NAME: ClassVar[str]
+    TOPIC: ClassVar[str]
+    TYPE: ClassVar[str]
+
     def __init__(
         self,
         domain: Domain,
-        name: str,
         measure: Callable[[], tuple[Ints, Floats]],
         errors: RadarErrors,
         rng: np.random.Generator,
     ) -> None:
-        super().__init__(domain, name, rng=rng)
+        super().__init__(domain, self.NAME, rng=rng)
         self._measure = measure
         self._errors = errors
         self._sector = 0
         self.create_timer(SECTOR_NS, self._end_sector)
+        self._publisher = self.create_publisher(self.TYPE, self.TOPIC, qos.SENSOR_DATA)
 
     def on_sector(self, start_deg: float, plots: Sequence[Plot]) -> None:
         """Publish the detections of the sector that has just ended."""
@@ -257,15 +261,7 @@ def _passed(states: Floats, start_deg: float) -> list[tuple[int, float]]:
 class PrimaryRadar(_Radar):
     """``/psr``: echoes of aircraft, and clutter."""
 
-    def __init__(
-        self,
-        domain: Domain,
-        measure: Callable[[], tuple[Ints, Floats]],
-        errors: RadarErrors,
-        rng: np.random.Generator,
-    ) -> None:
-        super().__init__(domain, "/primary_radar", measure, errors, rng)
-        self._publisher = self.create_publisher(PLOT_TYPE, "/psr", qos.SENSOR_DATA)
+    NAME, TOPIC, TYPE = "/primary_radar", "/psr", PLOT_TYPE
 
     def on_sector(self, start_deg: float, plots: Sequence[Plot]) -> None:
         """Publish range and azimuth of aircraft and of clutter."""
@@ -284,6 +280,8 @@ class SecondaryRadar(_Radar):
     ``transponders`` are those of all aircraft that may appear.
     """
 
+    NAME, TOPIC, TYPE = "/secondary_radar", "/ssr", REPLY_TYPE
+
     def __init__(
         self,
         domain: Domain,
@@ -292,9 +290,8 @@ class SecondaryRadar(_Radar):
         errors: RadarErrors,
         rng: np.random.Generator,
     ) -> None:
-        super().__init__(domain, "/secondary_radar", measure, errors, rng)
+        super().__init__(domain, measure, errors, rng)
         self._transponders = transponders
-        self._publisher = self.create_publisher(REPLY_TYPE, "/ssr", qos.SENSOR_DATA)
 
     def on_sector(self, start_deg: float, plots: Sequence[Plot]) -> None:  # noqa: ARG002
         """Publish range, azimuth, identity and altitude."""

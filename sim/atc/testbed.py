@@ -1,28 +1,7 @@
 """The second testbed: flights, radars, ADS-B and the controller's display."""
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
 from sim.atc.recipes import AtcRecipe
-from sim.campaigns import Campaign
-from sim.testbed import Mode, Testbed
-
-if TYPE_CHECKING:
-    from sim.testbed_run import TestbedRun
-
-
-def _draw(mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any]) -> AtcRecipe:
-    from sim.atc.drawing import draw
-
-    return draw(mode, run, campaign, parameters)
-
-
-def _bring_up(recipe: AtcRecipe, folder: Path) -> "TestbedRun":
-    from sim.atc.run import AtcRun
-
-    return AtcRun(recipe, folder)
-
+from sim.testbed import Testbed, later
 
 AIR_TRAFFIC_CONTROL = Testbed(
     experiments=(
@@ -38,7 +17,7 @@ AIR_TRAFFIC_CONTROL = Testbed(
     ),
     messages=frozenset({"atc_msgs"}),
     recipe=AtcRecipe,
-    draw=_draw,
-    bring_up=_bring_up,
+    draw=later("sim.atc.drawing:draw"),
+    bring_up=later("sim.atc.run:AtcRun"),
     made_by="sim.atc.run",
 )

@@ -3,7 +3,7 @@
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -193,7 +193,7 @@ def make_runs(make: "Callable[[Job], Manifest]", jobs: "Sequence[Job]", workers:
         Number of runs at the same time.
     """
     failed = 0
-    with RunProgress(len(jobs)) as progress:
+    with closing(RunProgress(len(jobs))) as progress:
         for outcome in fan_out(make, jobs, lambda: process_pool(min(workers, len(jobs)))):
             directory = outcome.job.directory
             if outcome.result is None:

@@ -1,7 +1,8 @@
 """``oracle-sim grid``: the runs of a kill matrix."""
 
 import functools
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from sim.commands.batch import (
     short_errors,
     workers_option,
 )
-from sim.commands.kill_matrix import MutantGrid, derive_mutant, mutants, write_index
+from sim.commands.kill_matrix import derive_mutant, mutants, write_index
 from sim.commands.magnitudes import BUILT_IN, sweeps_of
 from sim.commands.parameter_values import sweep
 from sim.experiments import Job, record_job
@@ -94,18 +95,26 @@ def grid(
     with short_errors():
         names = [scenario] if scenario else _attacks(controls, allow_actuation=allow_actuation)
         modes = [find_mode(name, allow_actuation=allow_actuation) for name in names]
-        grids = [_grid(mode, texts, blocks, _root(out, mode, all_attacks)) for mode in modes]
+        grids = [
+            mutants(
+                mode,
+                _root(out, mode, all_attacks),
+                [sweep(mode, text) for text in texts] or sweeps_of(mode),
+                blocks,
+            )
+            for mode in modes
+        ]
     make: Callable[[Job], Manifest]
     if controls is None:
         make = functools.partial(record_job, campaign(options), refresh)
     else:
         make = functools.partial(derive_mutant, controls, refresh)
-    jobs = [job for grid in grids for job in grid.jobs()]
+    jobs = list(itertools.chain(*grids))
     try:
         make_runs(make, jobs, workers)
     finally:
         for grid in grids:
-            click.echo(f"{write_index(grid)}: {len(grid.mutants)} mutants")
+            click.echo(f"{write_index(grid)}: {len(grid)} mutants")
 
 
 def _attacks(controls: Path | None, *, allow_actuation: bool) -> list[str]:
@@ -122,11 +131,6 @@ def _attacks(controls: Path | None, *, allow_actuation: bool) -> list[str]:
         and (allow_actuation or not scenario.may_move)
         and (controls is None or not scenario.needs_simulator)
     ]
-
-
-def _grid(mode: Mode, texts: Sequence[str], blocks: int, root: Path) -> MutantGrid:
-    sweeps = [sweep(mode, text) for text in texts] or sweeps_of(mode)
-    return MutantGrid(mode, root, tuple(mutants(sweeps, blocks)))
 
 
 def _root(out: Path | None, mode: Mode, is_one_of_many: bool) -> Path:

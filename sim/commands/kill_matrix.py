@@ -10,7 +10,6 @@ import json
 import shutil
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from oracle_pipeline.bags.run_directory import (
     BAG_FOLDER,
     GRAPHS_FOLDER,
     MANIFEST_FILE,
-    RunDirectory,
     bytes_on_disk,
 )
 from sim.commands.parameter_values import Sweep
@@ -34,43 +32,17 @@ from sim.testbed import Mode
 from sim.testbeds import TESTBEDS, which_testbed
 
 
-@dataclass(frozen=True, slots=True)
-class Mutant:
-    """One run of a kill matrix."""
-
-    run: int
-    block: int
-    parameter: str
-    value: float
-
-
-def mutants(sweeps: Sequence[Sweep], blocks: int) -> list[Mutant]:
-    """Return every value of every sweep in every block.
+def mutants(mode: Mode, root: Path, sweeps: Sequence[Sweep], blocks: int) -> list[Job]:
+    """Return a run for every value of every sweep in every block.
 
     Runs are numbered block by block, so a grid of more blocks begins with that of fewer.
     """
     points = [(sweep.parameter, value) for sweep in sweeps for value in sweep.values]
     return [
-        Mutant(block * len(points) + place, block, *point)
+        Job(mode, root, block * len(points) + place, block, {parameter: value})
         for block in range(blocks)
-        for place, point in enumerate(points)
+        for place, (parameter, value) in enumerate(points)
     ]
-
-
-@dataclass(frozen=True, slots=True)
-class MutantGrid:
-    """The mutants of one scenario, and their folder."""
-
-    mode: Mode
-    root: Path
-    mutants: tuple[Mutant, ...]
-
-    def jobs(self) -> list[Job]:
-        """Return the work on each mutant."""
-        return [
-            Job(self.mode, self.root, mutant.run, mutant.block, {mutant.parameter: mutant.value})
-            for mutant in self.mutants
-        ]
 
 
 def derive_mutant(controls: Path, refresh: bool, job: Job) -> Manifest:
@@ -126,7 +98,7 @@ def derive_mutant(controls: Path, refresh: bool, job: Job) -> Manifest:
     return manifest
 
 
-def write_index(grid: MutantGrid) -> Path:
+def write_index(grid: Sequence[Job]) -> Path:
     """Write the index of the mutants that exist.
 
     Returns
@@ -136,24 +108,22 @@ def write_index(grid: MutantGrid) -> Path:
         ``block``, ``path`` (from the index), ``changed_messages`` and ``equivalent`` (nothing was
         changed).
     """
-    rows = []
-    for mutant in grid.mutants:
-        directory = RunDirectory(grid.root, grid.mode.id, mutant.run)
-        if directory.is_complete():
-            changed = sum(change.messages for change in directory.manifest().changes)
-            rows.append(_row(directory, mutant, changed))
-    grid.root.mkdir(parents=True, exist_ok=True)
-    path = grid.root / GRID_INDEX
+    rows = [_row(job) for job in grid if job.directory.is_complete()]
+    path = grid[0].root / GRID_INDEX
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
     return path
 
 
-def _row(directory: RunDirectory, mutant: Mutant, changed: int) -> dict[str, Any]:
+def _row(mutant: Job) -> dict[str, Any]:
+    directory = mutant.directory
+    changed = sum(change.messages for change in directory.manifest().changes)
+    ((parameter, value),) = mutant.given.items()
     return {
         "run_id": directory.key,
         "scenario": directory.mode,
-        "parameter": mutant.parameter,
-        "value": mutant.value,
+        "parameter": parameter,
+        "value": value,
         "block": mutant.block,
         "path": str(directory.path.relative_to(directory.root)),
         "changed_messages": changed,

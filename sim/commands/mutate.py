@@ -1,5 +1,6 @@
 """``oracle-sim mutate``: a scenario over a recorded bag."""
 
+import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,7 +10,6 @@ import click
 
 from oracle_pipeline.bags.errors import RunDirectoryError
 from oracle_pipeline.bags.manifest import Manifest
-from oracle_pipeline.bags.reader import RawMessage
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE
 from oracle_pipeline.bags.terminal import progress_bar
 from sim.campaigns import DEFAULT_SEED
@@ -95,7 +95,7 @@ def mutate(
             attack.seed if seed is None else seed,
             attack.onset_s if at_s is None else at_s,
             {**known, **typed(program, words)},
-            _bar,
+            functools.partial(progress_bar, unit=" messages", leave=False),
             attack.goals_s,
         )
     for note in summary.notes:
@@ -147,9 +147,3 @@ class _Attack:
             manifest.onset_s,
             tuple(result.accepted_s for result in manifest.goal_results),
         )
-
-
-def _bar(messages: Iterable[RawMessage], total: int) -> Iterable[RawMessage]:
-    """Show a progress bar over messages, on a terminal."""
-    bar: Iterable[RawMessage] = progress_bar(messages, total=total, unit=" messages", leave=False)
-    return bar

@@ -2,8 +2,6 @@
 
 import sys
 import time
-from types import TracebackType
-from typing import Self
 
 from tqdm import tqdm
 
@@ -17,7 +15,7 @@ def pace(simulated_s: float, wall_s: float) -> str:
 
 
 class RunProgress:
-    """A progress bar on standard error; silent when that is not a terminal.
+    """A progress bar on standard error; silent when that is not a terminal. Close it at the end.
 
     Parameters
     ----------
@@ -41,13 +39,6 @@ class RunProgress:
         """Print a line to standard output, above the bar."""
         self._bar.write(text, file=sys.stdout)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Let the bar stay as it is."""
         self._bar.close()

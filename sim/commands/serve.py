@@ -18,7 +18,7 @@ import click
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.run_directory import RunDirectory
 from sim.campaigns import Campaign, Options, Wiring
-from sim.commands.batch import mode_option, seed_option
+from sim.commands.batch import mode_option, seed_option, short_errors
 from sim.experiments import recipe_for, record_run
 from sim.middleware.executor import SECOND
 from sim.modes import find_mode
@@ -84,14 +84,12 @@ def serve(
         oracle-sim serve
         oracle-sim serve -m random_noise --speed 2 --domain 7
     """  # noqa: D301 -- click reads the control character
-    try:
+    with short_errors():
         wiring: Wiring = "absent" if without_node else "additive"
         campaign = Campaign(
             seed, goals, timeout_s=_TIMEOUT_S * goals, options=Options(wiring=wiring)
         )
         _serve(mode, speed, domain, run, campaign, out)
-    except OracleError as error:
-        raise click.ClickException(str(error)) from error
 
 
 def _serve(

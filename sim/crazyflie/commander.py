@@ -7,13 +7,13 @@ the Crazyflie has tumbled.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 
 from oracle_pipeline.bags.types import message_class
 from sim.crazyflie.recipes import Leg, Place
 from sim.crazyflie.server import IS_TUMBLED
 from sim.crazyflie.tracking import FRAME, NAME, pose_message
+from sim.goal_progress import GoalProgress
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.node import Node
@@ -27,15 +27,6 @@ CRITICAL_V, CRITICAL_REPORTS = 3.0, 3  # it lands if so many reports in a row ar
 _FullState = message_class("crazyflie_interfaces/msg/FullState")
 _Twist = message_class("geometry_msgs/msg/Twist")
 _Vector3 = message_class("geometry_msgs/msg/Vector3")
-
-
-@dataclass(slots=True)
-class LegProgress:
-    """How far a leg has come."""
-
-    accepted_ns: int
-    ended_ns: int | None = None
-    outcome: Literal["succeeded", "aborted"] | None = None
 
 
 def place(leg: Leg, before: Place, time_s: float) -> Place:
@@ -70,7 +61,7 @@ class FlightCommander(Node):
 
     Attributes
     ----------
-    results : list of LegProgress
+    results : list of GoalProgress
         Of the legs that were begun.
     is_over : bool
         Whether it has landed.
@@ -84,7 +75,7 @@ class FlightCommander(Node):
         self.create_subscription("geometry_msgs/msg/PoseStamped", f"/{NAME}/pose", self._on_pose)
         status = "crazyflie_interfaces/msg/Status"
         self.create_subscription(status, f"/{NAME}/status", self._on_status)
-        self.results: list[LegProgress] = []
+        self.results: list[GoalProgress] = []
         self.is_over = False
         self._here = (0.0, 0.0, 0.0)  # the last pose that arrived
         self._critical = 0  # reports in a row
@@ -139,7 +130,7 @@ class FlightCommander(Node):
             self._begin(Leg("landing", x, y, 0.0, yaw, z / CLIMB_M_S + 1.0))
             return
         self._begin(leg)
-        self.results.append(LegProgress(self.now_ns))
+        self.results.append(GoalProgress(self.now_ns))
         self._on_leg(len(self.results))
 
     def _send(self, wanted: Place, ahead: Place) -> None:

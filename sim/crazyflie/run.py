@@ -5,12 +5,12 @@ limit. Only this module combines world, nodes and event loop.
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from oracle_pipeline.bags import manifest as schema
-from oracle_pipeline.bags.manifest import Manifest
-from sim.crazyflie.commander import FlightCommander, LegProgress
+from sim.crazyflie.commander import FlightCommander
 from sim.crazyflie.conditions import declare
 from sim.crazyflie.firmware import Firmware
 from sim.crazyflie.recipes import CrazyflieRecipe
@@ -43,6 +43,7 @@ class CrazyflieRun(GoalRun):
         MotionCapture(domain, world.pose, session, draws("/motion_capture_tracking"))
         CrazyflieServer(domain, firmware, world.volts, draws("/crazyflie_server"), latency_ns)
         self._commander = FlightCommander(domain, latency_ns)
+        self._progress = self._commander.results
         declare(domain, world.change)
         self._odometer = Odometer(self._executor, lambda: world.pose()[0].tolist())
 
@@ -61,34 +62,18 @@ class CrazyflieRun(GoalRun):
                 run.run_until(run.now_ns + AFTER_LANDING_NS)
             self._end_ns = run.now_ns
 
-    def manifest(self, wall_s: float, software: schema.Software) -> Manifest:
-        """Return the facts of the finished run for its manifest."""
-        recipe = self._recipe
-        results = tuple(map(self._goal_result, self._commander.results, self._odometer.distances()))
-        failed = [result.outcome for result in results if result.outcome != "succeeded"]
-        worst: schema.Outcome = "succeeded" if results else "aborted"  # without any: not taken off
-        return Manifest(
-            **self._facts(wall_s, software),
-            session=recipe.session.index,
-            world="room",
-            start=schema.Pose(0.0, 0.0, 0.0),
-            goals=tuple(schema.Pose(leg.x, leg.y, leg.yaw) for leg in recipe.legs),
-            goal_results=results,
-            outcome=failed[0] if failed else worst,
-            onset_s=self._onset_s(),
-            attack=recipe.parameters,
-            drive=schema.Drive(None, 0, 0),
-            recording_s=self._seconds(self._end_ns),
-            contacts=tuple(
+    def _results(self) -> dict[str, Any]:
+        return {
+            **super()._results(),
+            "session": self._recipe.session.index,
+            "world": "room",
+            "goals": tuple(schema.Pose(leg.x, leg.y, leg.yaw) for leg in self._recipe.legs),
+            "drive": schema.Drive(None, 0, 0),
+            "contacts": tuple(
                 schema.Contact(self._seconds(hit_ns), "floor") for hit_ns in self._world.hits_ns
             ),
-        )
+        }
 
     def _on_leg(self, number: int) -> None:
         self._odometer.mark()
         self._on_goal(number)
-
-    def _goal_result(self, leg: LegProgress, flown_m: float) -> schema.GoalResult:
-        ended_s = None if leg.ended_ns is None else self._seconds(leg.ended_ns)
-        accepted_s = self._seconds(leg.accepted_ns)
-        return schema.GoalResult(accepted_s, ended_s, leg.outcome or "timeout", flown_m, 0)

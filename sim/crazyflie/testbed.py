@@ -1,21 +1,8 @@
 """The third testbed: a Crazyflie that hovers, flies to points, and flies a figure of eight."""
 
-from pathlib import Path
-from typing import TYPE_CHECKING
-
 from sim.crazyflie.drawing import draw
 from sim.crazyflie.recipes import CrazyflieRecipe
-from sim.testbed import Testbed
-
-if TYPE_CHECKING:
-    from sim.testbed_run import TestbedRun
-
-
-def _bring_up(recipe: CrazyflieRecipe, folder: Path) -> "TestbedRun":
-    from sim.crazyflie.run import CrazyflieRun
-
-    return CrazyflieRun(recipe, folder)
-
+from sim.testbed import Testbed, later
 
 _ATTACKS = (
     *("propeller_cut", "blade_cut", "payload", "string", "tape", "gyro_bias", "pose_offset"),
@@ -28,6 +15,6 @@ CRAZYFLIE = Testbed(
     messages=frozenset({"crazyflie_interfaces", "motion_capture_tracking_interfaces"}),
     recipe=CrazyflieRecipe,
     draw=draw,
-    bring_up=_bring_up,
+    bring_up=later("sim.crazyflie.run:CrazyflieRun"),
     made_by="sim.crazyflie.run",
 )

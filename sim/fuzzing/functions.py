@@ -209,24 +209,21 @@ def _something_long(types: Types) -> Type | None:
     match types:
         case [Array() | Text() | Table()]:
             return INTEGER
-        case _:
-            return None
+    return None
 
 
 def _quaternion(types: Types) -> Type | None:
     match types:
         case [Message("geometry_msgs/msg/Quaternion")]:
             return FLOAT
-        case _:
-            return None
+    return None
 
 
 def _point_and_polygon(types: Types) -> Type | None:
     match types:
         case [Number(), Number(), Array(Array(Number(), 2, True), int())]:
             return BOOLEAN
-        case _:
-            return None
+    return None
 
 
 def _corners(types: Types) -> int:

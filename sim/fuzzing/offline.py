@@ -6,6 +6,7 @@ scenario that is retargeted to a topic (``retargeting``) alters it in place.
 """
 
 import dataclasses
+import functools
 import heapq
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -49,11 +50,7 @@ class Summary:
     notes: tuple[str, ...] = ()  # what was not read of the bag, and other remarks on it
 
 
-Progress = Callable[[Iterable[RawMessage], int], Iterable[RawMessage]]
-
-
-def _untracked(messages: Iterable[RawMessage], total: int) -> Iterable[RawMessage]:  # noqa: ARG001
-    return messages
+Progress = Callable[..., Iterable[RawMessage]]  # of messages, and their ``total`` number
 
 
 def mutate_bag(
@@ -63,7 +60,7 @@ def mutate_bag(
     run_seed: int,
     at_s: float | None = None,
     parameters: Mapping[str, Any] | None = None,
-    track: Progress = _untracked,
+    track: Progress = lambda messages, **_: messages,
     goals_s: Sequence[float] | None = None,
 ) -> Summary:
     """Run a program over a bag.
@@ -99,14 +96,14 @@ def mutate_bag(
     with BagReader(bag_in) as recorded:
         reader = _in_cdr(recorded)
         _check_topics(reader, program)
-        goals = _Goals(reader, goals_s)
-        onset_ns = _onset_ns(reader, program, goals, at_s, run_seed)
+        accepted_ns = functools.partial(_accepted_ns, reader, goals_s)
+        onset_ns = _onset_ns(reader, program, accepted_ns, at_s, run_seed)
         until = program.activation.until_goal
-        if until is not None and (end_ns := goals.accepted_ns(until)) is not None:
+        if until is not None and (end_ns := accepted_ns(until)) is not None:
             execution.end((end_ns - onset_ns) / SECOND)
         with BagWriter(bag_out, _storage(bag_in)) as writer:
             run = _Run(reader, writer, execution, onset_ns)
-            for message in track(reader.messages(), reader.message_count):
+            for message in track(reader.messages(), total=reader.message_count):
                 run.take(message)
             run.finish()
     return Summary(
@@ -302,31 +299,31 @@ def _in_cdr(reader: BagReader) -> BagReader:
     return reader.renamed({t.name: t.name for t in reader.topics.values() if t not in others})
 
 
-class _Goals:
-    """When goals were accepted during a recording."""
+def _accepted_ns(reader: BagReader, accepted_s: Sequence[float] | None, number: int) -> int | None:
+    """Return when a goal was accepted, counted from 1; None if the recording shows none.
 
-    def __init__(self, reader: BagReader, accepted_s: Sequence[float] | None) -> None:
-        self._reader = reader
-        self._stamps_ns: list[int] | None = None
-        if accepted_s is not None:
-            self._stamps_ns = [reader.start_ns + round(s * SECOND) for s in accepted_s]
-
-    def accepted_ns(self, number: int) -> int | None:
-        """Return when a goal was accepted, counted from 1; None if the recording shows none."""
-        if self._stamps_ns is None:
-            self._stamps_ns = list(_goals_ns(self._reader))
-        return self._stamps_ns[number - 1] if number <= len(self._stamps_ns) else None
+    Without ``accepted_s``, in seconds of the recording, the bag is searched for it.
+    """
+    if accepted_s is None:
+        stamps_ns = list(_goals_ns(reader))
+    else:
+        stamps_ns = [reader.start_ns + round(s * SECOND) for s in accepted_s]
+    return stamps_ns[number - 1] if number <= len(stamps_ns) else None
 
 
 def _onset_ns(
-    reader: BagReader, program: Program, goals: _Goals, at_s: float | None, run_seed: int
+    reader: BagReader,
+    program: Program,
+    accepted_ns: Callable[[int], int | None],
+    at_s: float | None,
+    run_seed: int,
 ) -> int:
     activation = program.activation
     if at_s is not None:
         return reader.start_ns + round(at_s * SECOND)
     begin_ns: int | None = reader.start_ns
     if activation.after == "goal_accepted":
-        begin_ns = goals.accepted_ns(activation.goal)
+        begin_ns = accepted_ns(activation.goal)
     if begin_ns is None:
         raise BagError(
             f"{reader.path} does not show when goal {activation.goal} was accepted "

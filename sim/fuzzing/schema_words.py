@@ -43,14 +43,12 @@ def in_words(error: jsonschema.ValidationError) -> Iterator[tuple[tuple[str | in
                 yield (*key, unknown), text
         case "pattern":
             yield key, f"expected {_PATTERNS[value]}, {found}"
-        case "minProperties" | "minItems" | "minLength":
+        case "minProperties" | "minItems" | "minLength" | "minimum":
             yield key, f"expected at least {value}, {found}"
         case "maxProperties" | "maxItems" | "maxLength":
             yield key, f"expected at most {value}, found {len(instance)}"
         case "uniqueItems":
             yield key, f"expected each value once, {found}"
-        case "minimum":
-            yield key, f"expected at least {value}, {found}"
         case "exclusiveMinimum":
             yield key, f"expected more than {value}, {found}"
         case "maximum":

@@ -7,7 +7,7 @@ hidden services; the goal's state machine is that of ``action_msgs/msg/GoalStatu
 import enum
 import uuid
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -97,14 +97,11 @@ class GoalHandle:
         self._server.publish_status()
 
 
-class _Callbacks:
+class _Callbacks(NamedTuple):
     """Callbacks of a client about one goal."""
 
-    def __init__(
-        self, feedback: Callable[[Any], None], result: Callable[[GoalStatus, Any], None]
-    ) -> None:
-        self.feedback = feedback
-        self.result = result
+    feedback: Callable[[Any], None]
+    result: Callable[[GoalStatus, Any], None]
 
 
 class ActionServer:

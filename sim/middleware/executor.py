@@ -6,6 +6,7 @@ run depends on its inputs only.
 
 import heapq
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 Callback = Callable[..., None]
@@ -14,15 +15,13 @@ SECOND = 1_000_000_000
 MILLISECOND = 1_000_000
 
 
+@dataclass(slots=True, eq=False)
 class Timer:
     """A callback at a fixed period of simulated time, until it is cancelled."""
 
-    __slots__ = ("active", "callback", "period_ns")
-
-    def __init__(self, period_ns: int, callback: Callable[[], None]) -> None:
-        self.period_ns = period_ns
-        self.callback = callback
-        self.active = True
+    period_ns: int
+    callback: Callable[[], None]
+    active: bool = True
 
     def cancel(self) -> None:
         """Stop permanently."""

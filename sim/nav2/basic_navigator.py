@@ -4,12 +4,12 @@ It is ``BasicNavigator`` of ``nav2_simple_commander``, which opens a client for 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from oracle_pipeline.bags.types import message_class
+from sim.goal_progress import GoalOutcome, GoalProgress
 from sim.middleware import qos
 from sim.middleware.action import ActionClient, GoalHandle, GoalStatus
 from sim.middleware.domain import Domain
@@ -23,7 +23,6 @@ _NavigateToPose = message_class("nav2_msgs/action/NavigateToPose_Goal")
 _PoseWithCovariance = message_class("geometry_msgs/msg/PoseWithCovariance")
 _PoseWithCovarianceStamped = message_class("geometry_msgs/msg/PoseWithCovarianceStamped")
 
-GoalOutcome = Literal["succeeded", "aborted", "canceled"]
 
 _OTHER_ACTIONS = (
     ("navigate_through_poses", "NavigateThroughPoses"),
@@ -48,17 +47,6 @@ _OUTCOMES: dict[GoalStatus, GoalOutcome] = {
     GoalStatus.ABORTED: "aborted",
     GoalStatus.CANCELED: "canceled",
 }
-
-
-@dataclass(slots=True)
-class GoalProgress:
-    """Result of one goal of a patrol."""
-
-    goal: Pose2D  # in the map
-    accepted_ns: int
-    ended_ns: int | None = None  # None while it is active
-    outcome: GoalOutcome | None = None
-    number_of_recoveries: int = 0
 
 
 class BasicNavigator(Node):
@@ -145,7 +133,7 @@ class BasicNavigator(Node):
         handle: GoalHandle = self._client.send_goal(
             _NavigateToPose(pose, ""), on_result, on_feedback
         )
-        result = GoalProgress(goal, handle.accepted_ns)
+        result = GoalProgress(handle.accepted_ns)
         self.results.append(result)
         on_accepted(result)
 

@@ -68,6 +68,7 @@ class _ControlNode(TreeNode):
     def __init__(self, name: str, children: Sequence[TreeNode]) -> None:
         super().__init__(name)
         self.children = children
+        self.forget()
 
     def walk(self) -> Iterator[TreeNode]:
         """Yield the node and all below it."""
@@ -75,10 +76,18 @@ class _ControlNode(TreeNode):
         for child in self.children:
             yield from child.walk()
 
+    def forget(self) -> None:
+        """Start from the beginning next time."""
+
     def halt(self) -> None:
-        """Interrupt the node and its children."""
-        self.halt_children()
+        """Interrupt the node and its children, and start from the beginning next time."""
+        self.end_tick()
         super().halt()
+
+    def end_tick(self) -> None:
+        """Make all children idle, and start from the beginning next time."""
+        self.halt_children()
+        self.forget()
 
     def halt_child(self, child: TreeNode) -> None:
         """Interrupt a child if it runs, and make it idle."""
@@ -95,8 +104,8 @@ class _ControlNode(TreeNode):
 class SequenceNode(_ControlNode):
     """Ticks its children one after the other until one fails."""
 
-    def __init__(self, name: str, children: Sequence[TreeNode]) -> None:
-        super().__init__(name, children)
+    def forget(self) -> None:
+        """Start from the first child next time."""
         self._current = 0
 
     def tick(self) -> NodeStatus:
@@ -107,27 +116,18 @@ class SequenceNode(_ControlNode):
             if status is NodeStatus.RUNNING:
                 return status
             if status is NodeStatus.FAILURE:
-                self._reset()
+                self.end_tick()
                 return status
             self._current += 1
-        self._reset()
+        self.end_tick()
         return NodeStatus.SUCCESS
-
-    def halt(self) -> None:
-        """Interrupt, and start from the first child next time."""
-        self._current = 0
-        super().halt()
-
-    def _reset(self) -> None:
-        self.halt_children()
-        self._current = 0
 
 
 class PipelineSequence(_ControlNode):
     """A sequence that ticks the children before the running one again in every tick."""
 
-    def __init__(self, name: str, children: Sequence[TreeNode]) -> None:
-        super().__init__(name, children)
+    def forget(self) -> None:
+        """Start an empty pipeline next time."""
         self._furthest = 0
 
     def tick(self) -> NodeStatus:
@@ -135,22 +135,13 @@ class PipelineSequence(_ControlNode):
         for index, child in enumerate(self.children):
             status = child.execute()
             if status is NodeStatus.FAILURE:
-                self._reset()
+                self.end_tick()
                 return status
             if status is NodeStatus.RUNNING and index >= self._furthest:
                 self._furthest = index
                 return status
-        self._reset()
+        self.end_tick()
         return NodeStatus.SUCCESS
-
-    def halt(self) -> None:
-        """Interrupt, and start an empty pipeline next time."""
-        self._furthest = 0
-        super().halt()
-
-    def _reset(self) -> None:
-        self.halt_children()
-        self._furthest = 0
 
 
 class RecoveryNode(_ControlNode):
@@ -167,6 +158,9 @@ class RecoveryNode(_ControlNode):
     def __init__(self, name: str, child: TreeNode, recovery: TreeNode, retries: int) -> None:
         super().__init__(name, (child, recovery))
         self._retries = retries
+
+    def forget(self) -> None:
+        """Have all retries left next time."""
         self._tries = 0
         self._recovering = False
 
@@ -195,12 +189,6 @@ class RecoveryNode(_ControlNode):
                 self._recovering = False
                 self._tries += 1
 
-    def halt(self) -> None:
-        """Interrupt, with all retries left next time."""
-        super().halt()
-        self._tries = 0
-        self._recovering = False
-
 
 class ReactiveFallback(_ControlNode):
     """Ticks its children from the first on in every tick until one does not fail."""
@@ -223,8 +211,8 @@ class RoundRobin(_ControlNode):
     It keeps its position after a success, so the next failure leads to the next recovery.
     """
 
-    def __init__(self, name: str, children: Sequence[TreeNode]) -> None:
-        super().__init__(name, children)
+    def forget(self) -> None:
+        """Start with the first child next time."""
         self._current = 0
         self._failed = 0
 
@@ -243,12 +231,6 @@ class RoundRobin(_ControlNode):
             self._failed += 1
         self.halt()
         return NodeStatus.FAILURE
-
-    def halt(self) -> None:
-        """Interrupt, and start with the first child next time."""
-        super().halt()
-        self._current = 0
-        self._failed = 0
 
 
 class RateController(_ControlNode):

@@ -16,7 +16,6 @@ MIN_PARTICLES = 500
 MAX_PARTICLES = 2000
 BIN = np.array([0.5, 0.5, math.radians(10.0)])  # of the histogram: x, y [m], yaw [rad]
 _YAW_BINS = 36
-_MANY_BINS = 1_000_000  # in the box around all particles: too many to count through
 _KLD_ERROR = 0.05
 _KLD_Z = 0.99
 _ALPHA = 0.2  # alpha1 to alpha4 of the motion model
@@ -211,12 +210,9 @@ def _occupied_bins(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return the bin of each pose (n, 3), the first pose in each occupied bin, and each one's."""
     bins = _bins(poses)
-    x, y = _extent(bins)
-    if (x + 1.0) * (y + 1.0) * _YAW_BINS > _MANY_BINS:  # odometry that jumps scatters them
-        keys = (bins[:, 0] * 100_000 + bins[:, 1]) * _YAW_BINS + bins[:, 2]
-        _, first, number_of = np.unique(keys, return_index=True, return_inverse=True)
-        return bins, first, number_of
-    return bins, *_numbered(bins)
+    keys = (bins[:, 0] * 100_000 + bins[:, 1]) * _YAW_BINS + bins[:, 2]
+    _, first, number_of = np.unique(keys, return_index=True, return_inverse=True)
+    return bins, first, number_of
 
 
 @jit
@@ -228,39 +224,6 @@ def _bins(poses: NDArray[np.float64]) -> NDArray[np.int64]:
             bins[i, k] = np.int64(np.floor(poses[i, k] / BIN[k]))
         bins[i, 2] %= _YAW_BINS
     return bins
-
-
-@jit
-def _extent(bins: NDArray[np.int64]) -> tuple[float, float]:
-    """Return the extent of bins in x and y, in doubles, which hold any distance."""
-    x, y = bins[:, 0], bins[:, 1]
-    return float(x.max()) - float(x.min()), float(y.max()) - float(y.min())
-
-
-@jit
-def _numbered(bins: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first index of each bin, bins in ascending order, and the number of each row's.
-
-    As ``np.unique`` with ``return_index`` and ``return_inverse``, for bins that lie near each
-    other: it counts through all bins of the box around them.
-    """
-    low_x, low_y = bins[:, 0].min(), bins[:, 1].min()
-    width, depth = bins[:, 1].max() - low_y + 1, _YAW_BINS
-    cells = ((bins[:, 0] - low_x) * width + bins[:, 1] - low_y) * depth + bins[:, 2]
-    number = np.full(cells.max() + 1, -1, np.int64)
-    for cell in cells:
-        number[cell] = 0
-    count = 0
-    for cell in range(len(number)):
-        if number[cell] == 0:
-            number[cell] = count
-            count += 1
-    first, number_of = np.full(count, -1, np.int64), np.empty(len(cells), np.int64)
-    for i in range(len(cells)):
-        number_of[i] = number[cells[i]]
-        if first[number_of[i]] < 0:
-            first[number_of[i]] = i
-    return first, number_of
 
 
 def _mean(vectors: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:

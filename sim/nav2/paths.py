@@ -77,31 +77,6 @@ def path_bytes(time_ns: int, frame: str, poses: Poses) -> bytes:
     return words.tobytes()
 
 
-class PathBytes:
-    """The bytes of a path, laid out once, and those of its rest while a robot follows it.
-
-    All poses but the first are laid out alike, wherever in the message they are.
-    """
-
-    def __init__(self, time_ns: int, frame: str, poses: Poses) -> None:
-        header = _header_words(time_ns, frame).tobytes()
-        self._poses = memoryview(path_bytes(time_ns, frame, poses))
-        self._before_count = ENCAPSULATION + header
-        self._before_first = header + bytes(4)  # doubles are aligned to 8 bytes
-        self._stride = aligned(len(header), 8) + _POSE_BYTES
-
-    def rest(self, count: int) -> bytes:
-        """Return the bytes of ``path_bytes`` of the last ``count`` poses."""
-        parts: list[bytes | memoryview] = [self._before_count, count.to_bytes(4, "little")]
-        if count:
-            size = _POSE_BYTES + (count - 1) * self._stride
-            parts += [self._before_first, self._poses[-size:]]
-        return b"".join(parts)
-
-
-_POSE_BYTES = 8 * 7
-
-
 @functools.cache
 def _header(frame: str) -> NDArray[np.uint32]:
     return _header_words(0, frame)

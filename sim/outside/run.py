@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from oracle_pipeline.bags.dds_names import DOMAIN_VARIABLE
-from oracle_pipeline.bags.manifest import Manifest, Outcome, Pose, Software, TopicCount
+from oracle_pipeline.bags.manifest import Outcome, TopicCount
 from oracle_pipeline.bags.reader import BagReader, content_hash
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, GRAPHS_FOLDER, RECORDING_FILE
 from oracle_pipeline.bags.types import serialize
@@ -204,22 +204,15 @@ class OutsideRun(TestbedRun):
             }
         return topics, content_hash(bag)
 
-    def manifest(self, wall_s: float, software: Software) -> Manifest:
-        """Return the facts of the finished run for its manifest."""
+    def _results(self) -> dict[str, Any]:
         onset_ns = self._onset_ns
-        return Manifest(
-            **self._facts(wall_s, software),
-            session=self._recipe.session,
-            world="outside",
-            start=Pose(0.0, 0.0, 0.0),
-            goals=(),
-            goal_results=(),
-            outcome=self._outcome,
-            onset_s=None if onset_ns is None else max(0.0, (onset_ns - self._start_ns) / SECOND),
-            attack=self._recipe.parameters,
-            recording_s=self._recorded_s,
-            contacts=(),
-        )
+        return {
+            "session": self._recipe.session,
+            "world": "outside",
+            "outcome": self._outcome,
+            "onset_s": None if onset_ns is None else max(0.0, (onset_ns - self._start_ns) / SECOND),
+            "recording_s": self._recorded_s,
+        }
 
     # Helpers of the steps.
 

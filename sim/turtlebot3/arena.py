@@ -6,9 +6,8 @@ further arenas, ``world`` has physics and rays, and ``map`` the map that SLAM wo
 
 import functools
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal, Self, TypeAlias
+from dataclasses import dataclass, replace
+from typing import Literal, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -231,23 +230,6 @@ class Arena:
             pillars=tuple(replace(pillar, y=0.0 - pillar.y) for pillar in self.pillars),
         )
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the arena as JSON values."""
-        blocks, pillars = map(asdict, self.blocks), map(asdict, self.pillars)
-        return {**asdict(self), "blocks": list(blocks), "pillars": list(pillars)}
-
-    @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> Self:
-        """Return the arena from the result of ``to_dict``."""
-        return cls(
-            **{
-                **document,
-                "boundary": _block(document["boundary"]),
-                "blocks": tuple(map(_block, document["blocks"])),
-                "pillars": tuple(Cylinder(**pillar) for pillar in document["pillars"]),
-            }
-        )
-
 
 @functools.lru_cache(maxsize=8)  # many points are drawn in the same arena
 def _outlines(arena: Arena) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -260,10 +242,6 @@ def _mirrored(block: Prism) -> Prism:
     if isinstance(block, Box):
         return replace(block, y=0.0 - block.y, yaw=0.0 - block.yaw)
     return replace(block, y=0.0 - block.y)  # its corners lie alike on both sides
-
-
-def _block(document: Mapping[str, Any]) -> Prism:
-    return Hexagon(**document) if "circumradius" in document else Box(**document)
 
 
 HEXAGON = Arena("hexagon", 0, RING, BLOCKS, CYLINDERS)

@@ -9,17 +9,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.campaigns import OdometrySource
+from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND
 from sim.middleware.geometry import Pose2D
+from sim.middleware.node import Node
 from sim.turtlebot3 import frames
-from sim.turtlebot3.camera import add_depth_camera
 from sim.turtlebot3.clock import Gazebo
 from sim.turtlebot3.drive import DiffDrivePlugin, JointStatePlugin
 from sim.turtlebot3.robot_state import RobotStatePublisher
 from sim.turtlebot3.sensors import ImuPlugin, LaserPlugin, RangePlugin, Ranges, SensorErrors
 from sim.turtlebot3.wheel_odometry import WheelOdometry
 from sim.turtlebot3.world import World
+
+_CAMERA_TOPICS = (
+    ("camera_info", "CameraInfo"),
+    ("depth/camera_info", "CameraInfo"),
+    ("depth/image_raw", "Image"),
+    ("image_raw", "Image"),
+    ("points", "PointCloud2"),
+)
 
 
 def add_robot(
@@ -70,7 +79,7 @@ def add_robot(
     # After the diff drive, so that it measures the effect of the newest command.
     ImuPlugin(domain, world.imu, errors.gyro, generator("/turtlebot3_imu"))
     JointStatePlugin(domain, world.wheel_states)
-    add_depth_camera(domain)
+    _add_depth_camera(domain)
     RobotStatePublisher(domain)
 
 
@@ -79,3 +88,12 @@ def _rays(world: World, mount: frames.Mount) -> Callable[[NDArray[np.float64], f
     x, y, z = mount.xyz
     pose, height = Pose2D(x, y), z + frames.STATIC[0].xyz[2]
     return lambda bearings, range_max: world.scan(pose, height, bearings, range_max)
+
+
+def _add_depth_camera(domain: Domain) -> None:
+    """Add Gazebo's driver of the r200; without a rendering context it publishes nothing."""
+    node = Node(domain, "/intel_realsense_r200_depth_driver")
+    for topic, msgtype in _CAMERA_TOPICS:
+        node.create_publisher(
+            f"sensor_msgs/msg/{msgtype}", f"/intel_realsense_r200_depth/{topic}", qos.RELIABLE
+        )

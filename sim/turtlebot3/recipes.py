@@ -6,7 +6,7 @@ from typing import Any, Self
 
 from sim.campaigns import Campaign, Options
 from sim.middleware.geometry import Pose2D
-from sim.testbed import Recipe
+from sim.testbed import Recipe, from_json
 from sim.turtlebot3.arena import Arena
 
 # Options of earlier releases, and their only value now.
@@ -101,18 +101,11 @@ class TurtleBot3Recipe(Recipe):
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:
         """Return the recipe from the result of ``to_dict``."""
-        return cls(
-            **{
-                **document,
-                "conditions": Conditions(**document["conditions"]),
-                "session": Session(**document["session"]),
-                "arena": Arena.from_dict(document["arena"]),
-                "start": Pose2D(**document["start"]),
-                "goals": tuple(Pose2D(**goal) for goal in document["goals"]),
-                "fake_object": FakeObject(**document["fake_object"]),
-                "options": _options(document["options"]),
-            }
-        )
+        former = _WITHDRAWN.items()
+        named = document["options"].items()
+        options = {name: value for name, value in named if (name, value) not in former}
+        recipe: Self = from_json(cls, {**document, "options": options})
+        return recipe
 
     def campaign(self) -> Campaign:
         """Return the run's campaign, as far as the draws of its block depend on it."""
@@ -120,10 +113,3 @@ class TurtleBot3Recipe(Recipe):
             self.seed, len(self.goals), self.storage, self.timeout_s, options=self.options,
             session=self.session.index, noise_per_run=bool(self.noise),
         )  # fmt: skip
-
-
-def _options(document: Mapping[str, Any]) -> Options:
-    former = _WITHDRAWN.items()
-    return Options(
-        **{name: value for name, value in document.items() if (name, value) not in former}
-    )

@@ -11,13 +11,12 @@ from typing import Any
 
 from oracle_pipeline.bags import manifest as schema
 from oracle_pipeline.bags.errors import RunDirectoryError
-from oracle_pipeline.bags.manifest import Manifest
+from sim.goal_progress import GoalProgress
 from sim.goal_run import GoalRun, Odometer
 from sim.middleware.delays import Delays
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.middleware.geometry import Pose2D
-from sim.nav2.basic_navigator import GoalProgress
 from sim.nav2.bringup import bring_up
 from sim.nav2.collision_monitor import SOURCES
 from sim.recording import DEBUG_TOPICS, ReceiveClock
@@ -80,6 +79,7 @@ class TurtleBot3Run(GoalRun):
             stock=options.nav2 == "stock",
             parameters=options.nav2_params,
         )
+        self._progress = self._nav2.navigator.results
         self._odometer = Odometer(self._executor, self._place)
         self._patrol_over = False
 
@@ -111,33 +111,21 @@ class TurtleBot3Run(GoalRun):
                 self._executor.run_until(self._executor.now_ns + AFTER_LAST_GOAL_NS)
             self._end_ns = self._executor.now_ns
 
-    def manifest(self, wall_s: float, software: schema.Software) -> Manifest:
-        """Return the facts of the finished run for its manifest."""
+    def _results(self) -> dict[str, Any]:
         recipe = self._recipe
-        results = tuple(
-            map(self._goal_result, self._nav2.navigator.results, self._odometer.distances())
-        )
-        # The worst of the goals; one that was never reached stands for those never sent.
-        worst: schema.Outcome = next(
-            (result.outcome for result in results if result.outcome != "succeeded"), "succeeded"
-        )
-        return Manifest(
-            **self._facts(wall_s, software),
-            session=recipe.session.index,
-            world=recipe.world,
-            start=_pose(recipe.start),
-            goals=tuple(map(_pose, recipe.goals)),
-            goal_results=results,
-            outcome=worst,
-            onset_s=self._onset_s(),
-            attack=self._attack(),
-            drive=self._drive(),
-            recording_s=self._seconds(self._end_ns),
-            contacts=tuple(
+        return {
+            **super()._results(),
+            "session": recipe.session.index,
+            "world": recipe.world,
+            "start": _pose(recipe.start),
+            "goals": tuple(map(_pose, recipe.goals)),
+            "attack": self._attack(),
+            "drive": self._drive(),
+            "contacts": tuple(
                 schema.Contact(self._seconds(touch.stamp_ns), touch.piece)
                 for touch in self._world.touches
             ),
-        )
+        }
 
     def _drive(self) -> schema.Drive:
         monitor, places = self._nav2.collision_monitor, self._odometer.places()
@@ -158,7 +146,7 @@ class TurtleBot3Run(GoalRun):
 
     def _on_goal_accepted(self, _result: GoalProgress) -> None:
         self._odometer.mark()
-        self._on_goal(len(self._nav2.navigator.results))
+        self._on_goal(len(self._progress))
 
     def _start_node(self) -> None:
         """Add the mode's node to the graph, unless the campaign leaves it out."""
@@ -178,19 +166,6 @@ class TurtleBot3Run(GoalRun):
     def _receive_clock(self) -> ReceiveClock:
         rng = self._recipe.generator("/rosbag2_recorder")
         return ReceiveClock(self._executor.now_ns, rng)
-
-    def _goal_result(self, result: GoalProgress, driven_m: float) -> schema.GoalResult:
-        ended_s = None if result.ended_ns is None else self._seconds(result.ended_ns)
-        outcome: schema.Outcome = "timeout"  # the run ended before the goal did
-        if result.outcome is not None:
-            outcome = "succeeded" if result.outcome == "succeeded" else "aborted"
-        return schema.GoalResult(
-            self._seconds(result.accepted_ns),
-            ended_s,
-            outcome,
-            driven_m,
-            result.number_of_recoveries,
-        )
 
 
 def _world_parameters(recipe: TurtleBot3Recipe) -> WorldParameters:

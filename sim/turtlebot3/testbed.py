@@ -1,30 +1,7 @@
 """The first testbed: a TurtleBot3 with Nav2 in MuJoCo, on patrol."""
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from sim.campaigns import Campaign
-from sim.testbed import Mode, Testbed
+from sim.testbed import Testbed, later
 from sim.turtlebot3.recipes import TurtleBot3Recipe
-
-if TYPE_CHECKING:
-    from sim.testbed_run import TestbedRun
-
-
-def _draw(
-    mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any]
-) -> TurtleBot3Recipe:
-    from sim.turtlebot3.drawing import draw  # maps and planner take long to import
-
-    return draw(mode, run, campaign, parameters)
-
-
-def _bring_up(recipe: TurtleBot3Recipe, folder: Path) -> "TestbedRun":
-    from sim.turtlebot3.run import TurtleBot3Run  # MuJoCo takes long to import
-
-    return TurtleBot3Run(recipe, folder)
-
 
 TURTLEBOT3 = Testbed(
     experiments=(  # of the thesis
@@ -43,7 +20,7 @@ TURTLEBOT3 = Testbed(
         "benign_slow": {"speed": 0.6},
     },
     recipe=TurtleBot3Recipe,
-    draw=_draw,
-    bring_up=_bring_up,
+    draw=later("sim.turtlebot3.drawing:draw"),
+    bring_up=later("sim.turtlebot3.run:TurtleBot3Run"),
     made_by="sim.turtlebot3.run",
 )

@@ -9,6 +9,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from sim.fan_out import fan_out, process_pool
 from sim.middleware.geometry import Pose2D, quaternion_yaw
 from sim.middleware.stamps import stamp_ns
 from sim.nav2.navfn import plan
+from sim.testbed import from_json
 from sim.turtlebot3.arena import Arena
 from sim.turtlebot3.drawing import path_length, planning_grid
 from sim.turtlebot3.map import WORLD_IN_MAP
@@ -99,7 +101,7 @@ def _goals(manifest: Manifest) -> list[GoalResult | None]:
 
 def _drive(jobs: list[_Job]) -> dict[_Job, _Drive]:
     drives = {}
-    with RunProgress(len(jobs)) as progress:
+    with closing(RunProgress(len(jobs))) as progress:
         for outcome in fan_out(_drive_one, jobs, lambda: process_pool(os.cpu_count() or 1)):
             if outcome.result is None:
                 raise RuntimeError(f"{outcome.job}: {outcome.error}")
@@ -118,7 +120,7 @@ def _drive_one(job: _Job) -> _Drive:
     finally:
         shutil.rmtree(root)
     stops = [manifest.start, *manifest.goals]
-    grid = planning_grid(Arena.from_dict(manifest.recipe["arena"]))
+    grid = planning_grid(from_json(Arena, manifest.recipe["arena"]))
     detours = []
     for result, begin, end in zip(manifest.goal_results, stops, stops[1:], strict=False):
         path = plan(grid, (begin.x, begin.y), (end.x, end.y))

@@ -231,13 +231,14 @@ def test_the_list_has_the_built_in_scenarios_and_the_users(tmp_path, monkeypatch
     assert all(name in text for name in listed)
 
 
-def test_a_grid_has_every_value_in_every_block_and_grows_by_blocks():
+def test_a_grid_has_every_value_in_every_block_and_grows_by_blocks(tmp_path):
     sweeps = [Sweep("level", (0.1, 0.2)), Sweep("rays", (3,))]
-    cells = mutants(sweeps, 3)
+    mode = find_mode("random_noise")
+    cells = mutants(mode, tmp_path, sweeps, 3)
     assert [cell.run for cell in cells] == list(range(9))
-    assert cells[:6] == mutants(sweeps, 2)
-    assert {(cell.block, cell.parameter, cell.value) for cell in cells} == {
-        (block, name, value)
+    assert cells[:6] == mutants(mode, tmp_path, sweeps, 2)
+    assert {(cell.block, *cell.given.items()) for cell in cells} == {
+        (block, (name, value))
         for block in range(3)
         for name, value in (("level", 0.1), ("level", 0.2), ("rays", 3))
     }

@@ -204,18 +204,6 @@ def test_clusters_are_what_can_be_reached_from_bin_to_touching_bin(spread_m):
     assert cluster_labels(poses).tolist() == expected[bin_of].tolist()
 
 
-@pytest.mark.parametrize("spread_m", [0.01, 0.5, 5.0])
-def test_bins_are_numbered_alike_however_far_particles_are_scattered(spread_m, monkeypatch):
-    rng = np.random.default_rng(3)
-    for count in (1, 2, 500):
-        poses = rng.normal(0.0, spread_m, (count, 3))
-        counted = particle_filter._occupied_bins(poses)
-        with monkeypatch.context() as patch:
-            patch.setattr(particle_filter, "_MANY_BINS", 0)
-            for found, expected in zip(counted, particle_filter._occupied_bins(poses), strict=True):
-                assert np.array_equal(found, expected)
-
-
 def test_in_a_corridor_the_scan_determines_motion_across_but_not_along():
     field = room_field(20.0, 1.0)
     angles = np.radians([60, 75, 90, 105, 120, -60, -75, -90, -105, -120])

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from oracle_pipeline.bags.types import serialize
-from sim.nav2.paths import PATH, PathBytes, length_ahead, path_bytes, path_message, path_poses
+from sim.nav2.paths import PATH, length_ahead, path_bytes, path_message, path_poses
 
 paths = st.integers(0, 40).flatmap(
     lambda n: hnp.arrays(np.float64, (n, 3), elements=st.floats(-math.pi, math.pi))
@@ -20,13 +20,6 @@ frames = st.sampled_from(["", "map", "odom", "base_footprint", "abcd", "abcdefgh
 def test_path_bytes_are_those_of_the_serialised_message(time_ns, frame, poses):
     fast = path_bytes(time_ns, frame, poses)
     assert fast == serialize(path_message(time_ns, frame, poses), PATH)
-
-
-@given(st.integers(0, 2**40), frames, paths, st.data())
-def test_the_rest_of_a_path_has_the_bytes_of_its_last_poses(time_ns, frame, poses, data):
-    count = data.draw(st.integers(0, len(poses)))
-    rest = PathBytes(time_ns, frame, poses).rest(count)
-    assert rest == path_bytes(time_ns, frame, poses[len(poses) - count :])
 
 
 @given(paths)

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import asdict
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy import ndimage
 from sim.campaigns import Campaign, Options
 from sim.experiments import recipe_for
 from sim.nav2.navfn import plan
+from sim.testbed import from_json
 from sim.turtlebot3.arena import Arena, Box
 from sim.turtlebot3.drawing import MIN_CLEARANCE_M, planning_grid
 from sim.turtlebot3.floor_plans import KINDS, draw_arena
@@ -39,9 +41,8 @@ def distances(arena):
 def test_an_arena_is_a_function_of_its_seed_and_survives_json(kind, seed):
     arena = draw_arena(kind, seed)
     assert draw_arena(kind, seed) == arena
-    document = json.loads(json.dumps(arena.to_dict()))
-    assert Arena.from_dict(document) == arena
-    assert document == arena.to_dict()
+    document = json.loads(json.dumps(asdict(arena)))
+    assert from_json(Arena, document) == arena
 
 
 @given(st.sampled_from(["house", "random"]), st.integers(0, 2**32 - 2))
@@ -163,7 +164,7 @@ def test_a_patrol_of_one_goal_succeeds_in_an_arena_of_each_kind(kind, recorded_r
         "lidar_passthrough_odom", 1, Campaign(goals_per_run=1, options=Options(arena=kind))
     )
     manifest = run.manifest()
-    assert manifest.world == Arena.from_dict(manifest.recipe["arena"]).id
+    assert manifest.world == from_json(Arena, manifest.recipe["arena"]).id
     assert manifest.world.startswith(kind)
     assert (manifest.outcome, manifest.contacts) == ("succeeded", ())
 
