@@ -73,7 +73,7 @@ def record_run(
     directory: RunDirectory,
     *,
     refresh: bool = False,
-    accompany: "Callable[[TestbedRun], None]" = lambda _: None,
+    accompany: "Callable[[TestbedRun], object]" = lambda _: None,
 ) -> Manifest:
     """Make one run on the testbed of its recipe, completely or not at all.
 
@@ -185,7 +185,7 @@ def _make(
     recipe: Recipe,
     directory: RunDirectory,
     former: Manifest | None = None,
-    accompany: "Callable[[TestbedRun], None]" = lambda _: None,
+    accompany: "Callable[[TestbedRun], object]" = lambda _: None,
 ) -> Manifest:
     """Make a run, completely or not at all; it replaces an existing one."""
     testbed = require_testbed(testbed_of(recipe.scenario))

@@ -15,7 +15,7 @@ import numpy as np
 
 from oracle_pipeline.bags.manifest import Label
 from sim.campaigns import Campaign, Storage
-from sim.fuzzing.drawn_parameters import drawn_values
+from sim.fuzzing.random import drawn_values
 from sim.fuzzing.scenario import Scenario
 from sim.seeds import NODE, attack_seed, node_generator
 

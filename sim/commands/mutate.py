@@ -1,5 +1,6 @@
 """``oracle-sim mutate``: a scenario over a recorded bag."""
 
+import dataclasses
 import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -16,10 +17,11 @@ from sim.campaigns import DEFAULT_SEED
 from sim.commands.batch import allow_actuation_option, short_errors
 from sim.commands.parameter_values import typed
 from sim.experiments import recipe_of
+from sim.fuzzing.actuation import moves_something
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.offline import mutate_bag
-from sim.fuzzing.retargeting import retargeted
-from sim.fuzzing.scenario import NO_FILE, Scenario
+from sim.fuzzing.program import Program
+from sim.fuzzing.scenario import NO_FILE, Scenario, ScenarioError
 from sim.fuzzing.topics import MAIN
 from sim.modes import find_mode
 
@@ -86,7 +88,7 @@ def mutate(
         if chosen is None:
             raise click.UsageError("Give a SCENARIO or --like RUN.")
         program = compile_scenario(chosen, allow_actuation=allow_actuation)
-        program = retargeted(program, _by_name(topics), allow_actuation=allow_actuation)
+        program = _retargeted(program, _by_name(topics), allow_actuation=allow_actuation)
         known = {name: v for name, v in attack.parameters.items() if name in program.parameters}
         summary = mutate_bag(
             bag_in,
@@ -111,6 +113,46 @@ def _by_name(words: Iterable[str]) -> dict[str, str]:
     """Return topics by the name of the source in the scenario."""
     pairs = [word.rpartition("=") for word in words]
     return {name or MAIN: topic for name, _, topic in pairs}
+
+
+def _retargeted(
+    program: Program, topics: Mapping[str, str], *, allow_actuation: bool = False
+) -> Program:
+    """Return a program that reads other topics, and alters the main one in place.
+
+    Parameters
+    ----------
+    program : Program
+        The program to retarget.
+    topics : mapping of str to str
+        Topics by their name in the scenario: `MAIN`, or the name of a source.
+    allow_actuation : bool
+        Also alter topics that may move a robot.
+
+    Raises
+    ------
+    ScenarioError
+        There is no such source, or the main topic may move a robot.
+    """
+    identifier = program.scenario.id
+    if unknown := sorted(topics.keys() - {MAIN, *program.sources}):
+        raise ScenarioError(
+            f"{identifier} does not subscribe to {', '.join(unknown)}; it subscribes to "
+            f"{', '.join([MAIN, *program.sources])}."
+        )
+    main = topics.get(MAIN)
+    if main is not None:
+        if moves_something(main, program.type.name) and not allow_actuation:
+            raise ScenarioError(
+                f"{identifier} would alter {main}, which may move the robot; allow it with "
+                "--allow-actuation."
+            )
+        program = dataclasses.replace(program, input_topic=main, output_topic=main)
+    sources = {
+        name: dataclasses.replace(source, topic=topics.get(name, source.topic))
+        for name, source in program.sources.items()
+    }
+    return dataclasses.replace(program, sources=sources)
 
 
 @dataclass(frozen=True, slots=True)

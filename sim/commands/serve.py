@@ -24,7 +24,6 @@ from sim.middleware.executor import SECOND
 from sim.modes import find_mode
 
 if TYPE_CHECKING:
-    from sim.serving import ServedDomain
     from sim.testbed_run import TestbedRun
 
 DEFAULT_MODE = "lidar_passthrough_odom"  # its node can be switched to every built-in attack
@@ -104,9 +103,14 @@ def _serve(
         directory = RunDirectory(root, mode, run)
         if directory.is_complete():
             raise click.ClickException(f"{directory.path} exists already; choose another --out.")
-        session = _Session(speed, number, mode, run, campaign, is_kept=out is not None)
         try:
-            record_run(recipe, directory, accompany=session.begin)
+            record_run(
+                recipe,
+                directory,
+                accompany=lambda started: _Session(
+                    started, speed, number, mode, run, campaign, is_kept=out is not None
+                ),
+            )
         except KeyboardInterrupt:
             click.echo("Ended; the run is not kept.", err=True)
         else:
@@ -117,27 +121,28 @@ class _Session:
     """Accompanies a run: paces it, serves its domain, and executes typed commands."""
 
     def __init__(
-        self, speed: float, number: int, mode: str, run: int, campaign: Campaign, *, is_kept: bool
+        self,
+        run: "TestbedRun",
+        speed: float,
+        number: int,
+        mode: str,
+        block: int,
+        campaign: Campaign,
+        *,
+        is_kept: bool,
     ) -> None:
-        self._speed, self._number, self._mode, self._is_kept = speed, number, mode, is_kept
-        self._run_number, self._campaign = run, campaign
-        self._typed: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._run: TestbedRun | None = None
-        self._served: ServedDomain | None = None
-        self._started = 0.0
-
-    def begin(self, run: "TestbedRun") -> None:
-        """Start to accompany a run."""
         from sim.serving import ServedDomain
 
-        self._run = run
-        self._served = ServedDomain(run.domain, self._number, receives=not self._is_kept)
+        self._run, self._speed, self._mode, self._is_kept = run, speed, mode, is_kept
+        self._block, self._campaign = block, campaign
+        self._typed: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._served = ServedDomain(run.domain, number, receives=not is_kept)
         self._served.look(run.domain.executor.now_ns)
         time.sleep(_HEAD_START_S)
         self._started = time.monotonic()
         run.domain.executor.accompany(self._advance)
         threading.Thread(target=self._read, name="stdin", daemon=True).start()
-        click.echo(f"Serving {self._mode} on domain {self._number}. {_HELP}", err=True)
+        click.echo(f"Serving {mode} on domain {number}. {_HELP}", err=True)
 
     def _read(self) -> None:
         for line in sys.stdin:
@@ -145,7 +150,6 @@ class _Session:
 
     def _advance(self, now_ns: int) -> None:
         """Wait until wall time has reached the time of the simulation."""
-        assert self._served is not None  # noqa: S101 -- `begin` made it
         self._served.look(now_ns)
         self._served.listen()
         while not self._typed.empty():
@@ -166,10 +170,9 @@ class _Session:
         if self._is_kept:
             click.echo("A run that is kept must follow its recipe; serve without --out.", err=True)
             return
-        assert self._run is not None  # noqa: S101 -- `begin` was called with it
         name = self._mode if words[1] == "off" else words[1]
         try:
-            switch(self._run, recipe_for(find_mode(name), self._run_number, self._campaign))
+            switch(self._run, recipe_for(find_mode(name), self._block, self._campaign))
         except OracleError as error:
             click.echo(str(error), err=True)
         else:

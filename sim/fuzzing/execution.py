@@ -14,11 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sim.fuzzing.drawn_parameters import drawn_values
 from sim.fuzzing.fields import RefusedMessage
 from sim.fuzzing.ground_truth import GroundTruth
 from sim.fuzzing.program import Program, Source
-from sim.fuzzing.random import Draws
+from sim.fuzzing.random import Draws, drawn_values
 from sim.fuzzing.state_operators import STORED_NS
 from sim.fuzzing.step import ACTIVATION, Step, Term
 from sim.fuzzing.value_types import missing

@@ -2,7 +2,7 @@
 
 The mutant is the bag with the output topic added, or in place of the one that was recorded, and
 with the scenario's own ground truth. All other topics keep their messages, stamps and QoS. A
-scenario that is retargeted to a topic (``retargeting``) alters it in place.
+scenario that ``oracle-sim mutate --topic`` gives another topic alters it in place.
 """
 
 import dataclasses

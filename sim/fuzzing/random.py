@@ -5,6 +5,8 @@ counter the message, the operation and the place of the draw in it. So a message
 numbers online, offline and after lost messages.
 """
 
+import math
+import zlib
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +14,9 @@ import numpy as np
 from numpy.random.bit_generator import ISeedSequence
 from numpy.typing import NDArray
 
+from sim.fuzzing.scenario import Scenario
+
+_PARAMETERS = -1  # the operation that draws them; those of messages count from 0
 _WORD = (1 << 64) - 1
 
 
@@ -60,3 +65,30 @@ class Draws:
         """
         counter = np.array([0, place & _WORD, operation & _WORD, message & _WORD], np.uint64)
         return np.random.Generator(np.random.Philox(self._key, counter=counter))
+
+
+def drawn_values(scenario: Scenario, run_seed: int) -> dict[str, Any]:
+    """Return a value for each parameter with ``draw``, uniform or log-uniform.
+
+    Integers include both bounds. The draws depend on the run's seed and the parameter's name, so a
+    shadow control and an offline mutation have the same values as the attack.
+    """
+    draws = Draws(run_seed, scenario.seed)
+    values: dict[str, Any] = {}
+    for name, spec in scenario.document.get("parameters", {}).items():
+        if "draw" not in spec:
+            continue
+        share = draws.generator(zlib.crc32(name.encode()), _PARAMETERS).random()
+        low, high = spec["min"], spec["max"]
+        is_whole = spec["type"] == "int"
+        if is_whole:
+            low, high = math.ceil(low), math.floor(high)
+        if spec["draw"] == "log":
+            value = low * (high / low) ** share
+            value = round(value) if is_whole else value
+        elif is_whole:
+            value = low + math.floor(share * (high - low + 1))
+        else:
+            value = low + share * (high - low)
+        values[name] = min(max(value, low), high)
+    return values

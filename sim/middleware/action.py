@@ -13,7 +13,7 @@ import numpy as np
 
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
-from sim.middleware.domain import ActionEndpoint
+from sim.middleware.domain import Service
 from sim.middleware.node import Node
 from sim.middleware.stamps import time_message
 
@@ -139,7 +139,7 @@ class ActionServer:
         self._status = node.create_publisher(
             "action_msgs/msg/GoalStatusArray", f"{name}/_action/status", qos.LATCHED
         )
-        node.domain.add_action_server(ActionEndpoint(node.name, name, action_type, self))
+        node.domain.add_action_server(Service(node.name, name, action_type, self))
         for service, kind in (("send_goal", "SendGoal"), ("get_result", "GetResult")):
             node.create_service(f"{action_type}_{kind}", f"{name}/_action/{service}", self._direct)
         node.create_service(

@@ -6,7 +6,7 @@ through ``node``; delivery is in ``endpoints``.
 
 import functools
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
@@ -23,22 +23,12 @@ _Endpoint = TypeVar("_Endpoint")
 
 @dataclass(slots=True, eq=False)
 class Service:
-    """A service: a named function of one node that other nodes may call."""
+    """A service or an action of one node, which other nodes may call."""
 
     node: str
     name: str
-    srvtype: str
-    handler: Callable[[Any], Any]
-
-
-@dataclass(slots=True, eq=False)
-class ActionEndpoint:
-    """A named action and the object that serves it."""
-
-    node: str
-    name: str
-    action_type: str
-    server: Any
+    type: str
+    handler: Any  # the function of a service, the server of an action
 
 
 class Offer(NamedTuple):
@@ -75,7 +65,7 @@ class Domain:
         self._nodes: dict[str, None] = {}
         self._services: dict[str, Service] = {}
         self._clients: list[tuple[str, str, str]] = []  # node, service, type
-        self._action_servers: dict[str, ActionEndpoint] = {}  # by action
+        self._actions: dict[str, Service] = {}  # by action
         self._action_clients: list[tuple[str, str, str]] = []  # node, action, type
 
     # -- making endpoints (called by Node) -------------------------------------------------
@@ -118,9 +108,9 @@ class Domain:
         """Register a node as a client of a service."""
         self._clients.append((node, name, srvtype))
 
-    def add_action_server(self, endpoint: ActionEndpoint) -> None:
+    def add_action_server(self, action: Service) -> None:
         """Register the server of an action."""
-        self._action_servers[endpoint.name] = endpoint
+        self._actions[action.name] = action
 
     def add_action_client(self, node: str, name: str, action_type: str) -> None:
         """Register a node as a client of an action."""
@@ -140,7 +130,7 @@ class Domain:
     def action_server(self, name: str) -> Any:
         """Return the server of an existing action."""
         try:
-            return self._action_servers[name].server
+            return self._actions[name].handler
         except KeyError:
             raise LookupError(f"no node serves the action {name}") from None
 
@@ -167,15 +157,19 @@ class Domain:
 
     def services(self) -> Iterator[Offer]:
         """Yield the services of all nodes, those of actions included."""
-        for service in self._services.values():
-            clients = [node for node, name, _ in self._clients if name == service.name]
-            yield Offer(service.name, service.srvtype, service.node, clients)
+        return _offers(self._services, self._clients)
 
     def actions(self) -> Iterator[Offer]:
         """Yield the actions of all nodes."""
-        for action in self._action_servers.values():
-            clients = [node for node, name, _ in self._action_clients if name == action.name]
-            yield Offer(action.name, action.action_type, action.node, clients)
+        return _offers(self._actions, self._action_clients)
+
+
+def _offers(
+    offered: Mapping[str, Service], clients: Sequence[tuple[str, str, str]]
+) -> Iterator[Offer]:
+    for each in offered.values():
+        its = [node for node, name, _ in clients if name == each.name]
+        yield Offer(each.name, each.type, each.node, its)
 
 
 def _endpoints(by_topic: Mapping[str, list[_Endpoint]], topic: str | None) -> Iterator[_Endpoint]:

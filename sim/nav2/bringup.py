@@ -27,14 +27,13 @@ from sim.nav2.collision_monitor import (
 )
 from sim.nav2.controller_server import ControllerServer
 from sim.nav2.costmap_node import GlobalCostmap, LocalCostmap
+from sim.nav2.idle_servers import SmootherServer, WaypointFollower
 from sim.nav2.lifecycle import LifecycleManager
 from sim.nav2.map_server import MapServer, OccupancyMap
 from sim.nav2.parameters import settings
 from sim.nav2.planner_server import PlannerServer
 from sim.nav2.rviz import NavigationDialog, RViz
-from sim.nav2.smoother_server import SmootherServer
 from sim.nav2.velocity_smoother import VelocitySmoother
-from sim.nav2.waypoint_follower import WaypointFollower
 
 OBSTACLE_SOURCES = ("/scan", "/scan_fakeobject")  # of both costmaps
 

@@ -4,7 +4,7 @@ import pytest
 
 from sim.fuzzing.compilation import compile_file, compile_scenario
 from sim.fuzzing.compile_context import MAX_OPERATIONS, OperationBudget
-from sim.fuzzing.expression_compiler import MAX_OPERATIONS as MOST_OF_ONE_EXPRESSION
+from sim.fuzzing.expressions import MAX_OPERATIONS as MOST_OF_ONE_EXPRESSION
 from sim.fuzzing.scenario import MAX_BYTES, ScenarioError, load_scenarios
 from sim.modes import modes
 from sim.scenarios import builtin_scenarios

@@ -2,8 +2,7 @@
 
 import pytest
 
-from sim.fuzzing.expression_compiler import MAX_DEPTH, MAX_OPERATIONS
-from sim.fuzzing.expressions import compile_expression
+from sim.fuzzing.expressions import MAX_DEPTH, MAX_OPERATIONS, compile_expression
 from sim.fuzzing.grammar import ExpressionError
 from sim.fuzzing.scopes import Function, Scope
 from sim.fuzzing.value_types import FLOAT, Text

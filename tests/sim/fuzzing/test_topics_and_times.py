@@ -12,9 +12,9 @@ from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.bags.writer import BagWriter
 from sim.fuzzing.compilation import compile_scenario
-from sim.fuzzing.drawn_parameters import drawn_values
 from sim.fuzzing.execution import execute
 from sim.fuzzing.offline import mutate_bag
+from sim.fuzzing.random import drawn_values
 from sim.fuzzing.scenario import ScenarioError, parse_scenarios
 from sim.fuzzing.scenario_node import ScenarioNode
 from sim.middleware.domain import Domain

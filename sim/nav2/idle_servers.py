@@ -1,7 +1,7 @@
-"""The smoother server, which the default tree never requests: its endpoints, without a smoother."""
+"""The servers that no client here requests: their endpoints, without the work."""
 
 from sim.middleware import qos
-from sim.middleware.action import ActionServer
+from sim.middleware.action import ActionClient, ActionServer
 from sim.middleware.domain import Domain
 from sim.middleware.tf import TransformBuffer, TransformListener
 from sim.nav2.costmap import COSTMAP
@@ -42,3 +42,21 @@ class SmootherServer(LifecycleNode):
             POLYGON, "/global_costmap/published_footprint", None, qos.SYSTEM_SUBSCRIPTION
         )
         ActionServer(self, "nav2_msgs/action/SmoothPath", "/smooth_path", not_served)
+
+
+class WaypointFollower(LifecycleNode):
+    """Offers ``/follow_waypoints``.
+
+    Parameters
+    ----------
+    domain, latency_ns
+        As for `LifecycleNode`.
+    """
+
+    def __init__(self, domain: Domain, *, latency_ns: int = 0) -> None:
+        super().__init__(domain, "/waypoint_follower", latency_ns=latency_ns)
+
+    def on_configure(self) -> None:
+        """Open the actions."""
+        ActionClient(self, "nav2_msgs/action/NavigateToPose", "/navigate_to_pose")
+        ActionServer(self, "nav2_msgs/action/FollowWaypoints", "/follow_waypoints", not_served)
