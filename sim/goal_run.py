@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oracle_pipeline.bags.manifest import GoalResult, Outcome
+from sim.arrays import Floats
 from sim.goal_progress import GoalProgress
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.testbed import Recipe
@@ -46,7 +46,7 @@ class Odometer:
         ends = [*self._marks, self._total_m][1:]
         return [end - begin for begin, end in zip(self._marks, ends, strict=True)]
 
-    def places(self) -> NDArray[np.float64]:
+    def places(self) -> Floats:
         """Return the positions since the first part began, shape (n, 2) or (n, 3) [m]."""
         return np.array(self._places).reshape(-1, len(self._last))
 

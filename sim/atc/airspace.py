@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
+from sim.arrays import Floats, Ints
 from sim.atc.geodesy import Place, to_plane
 from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.geometry import wrap_angle
@@ -30,8 +30,6 @@ _LONGEST_LEAD_M = 5_000.0  # earliest start of a turn before a fix
 # Columns of the state.
 _X, _Y, _Z, _VX, _VY, _VZ, _AIRSPEED, _HEADING = range(8)
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _wrap = jit(wrap_angle)
 

@@ -18,7 +18,8 @@ import numpy as np
 from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
-from sim.atc.airspace import AircraftState, Floats, Ints
+from sim.arrays import Floats, Ints
+from sim.atc.airspace import AircraftState
 from sim.atc.geodesy import convergence, slant_range, to_geodetic
 from sim.middleware import qos
 from sim.middleware.domain import Domain

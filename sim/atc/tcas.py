@@ -8,9 +8,9 @@ those of Munoz, Narkawicz and Chamberlain, "A TCAS-II Resolution Advisory Detect
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
+from sim.arrays import Floats
 
 CLEAR, TRAFFIC, RESOLUTION = 0, 1, 2  # as in atc_msgs/msg/Advisory
 
@@ -30,8 +30,6 @@ _TABLE = np.array(
         [42_000 * _FT, 48.0, 1.30 * _NM, 1_200 * _FT, 35.0, 1.10 * _NM, 800 * _FT],
     ]
 )
-
-Floats = NDArray[np.float64]
 
 
 @jit

@@ -9,13 +9,13 @@ others.
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.jit import jit
+from sim.arrays import Floats
 from sim.atc.airspace import AirSpace, Flight, Waypoint
 from sim.atc.geodesy import AIRPORT, ELEVATION_M, Place, between, destination, distance
-from sim.atc.tcas import Floats, is_threat
+from sim.atc.tcas import is_threat
 from sim.middleware.executor import SECOND
 
 FIXES = {
@@ -175,7 +175,7 @@ def _plan(flight: Flight, duration_s: float, wind: tuple[float, float]) -> Float
 
 
 @jit
-def _meet(ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> bool:
+def _meet(ours: Floats, theirs: Floats) -> bool:
     """Return whether two plans violate the separation of flow control."""
     for i in range(len(ours)):
         if is_threat(theirs[i] - ours[i], _PLAN_TAU_S, _PLAN_DISTANCE_M, _PLAN_HEIGHT_M):

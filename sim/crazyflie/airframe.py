@@ -9,11 +9,9 @@ Quadrocopter" (ETH Zürich, 2015).
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
-
-Floats = NDArray[np.float64]
+from sim.arrays import Floats
 
 STEP_S = 1e-3
 MASS_KG = 0.027

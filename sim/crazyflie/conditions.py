@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from oracle_pipeline.bags.errors import OracleError
-from sim.crazyflie.airframe import BLADE_M, Floats
+from sim.arrays import Floats
+from sim.crazyflie.airframe import BLADE_M
 from sim.fuzzing.scenario import WORLD
 from sim.middleware import qos
 from sim.middleware.domain import Domain

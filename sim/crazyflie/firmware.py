@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from oracle_pipeline.bags.jit import jit
-from sim.crazyflie.airframe import STEP_S, Floats, matrix
+from sim.arrays import Floats
+from sim.crazyflie.airframe import STEP_S, matrix
 
 _EVERY_ATTITUDE, _EVERY_POSITION = 2, 10  # steps of a millisecond
 _ATTITUDE_S, _POSITION_S = _EVERY_ATTITUDE * STEP_S, _EVERY_POSITION * STEP_S

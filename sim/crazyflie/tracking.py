@@ -7,7 +7,7 @@ import numpy as np
 
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
-from sim.crazyflie.airframe import Floats
+from sim.arrays import Floats
 from sim.crazyflie.recipes import CrazyflieSession
 from sim.middleware import qos
 from sim.middleware.domain import Domain

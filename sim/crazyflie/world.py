@@ -10,7 +10,8 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from sim.crazyflie.airframe import INERTIA, MASS_KG, STEP_S, Floats, wrench
+from sim.arrays import Floats
+from sim.crazyflie.airframe import INERTIA, MASS_KG, STEP_S, wrench
 from sim.crazyflie.conditions import rotors_of, usual_conditions, vector
 from sim.crazyflie.recipes import Craft
 

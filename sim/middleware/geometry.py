@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
+from sim.arrays import Floats
 
 
 def wrap_angle(angle: float) -> float:
@@ -39,7 +39,7 @@ class Pose2D:
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         return Pose2D(-c * self.x - s * self.y, s * self.x - c * self.y, wrap_angle(-self.yaw))
 
-    def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def apply(self, points: Floats) -> Floats:
         """Take points of shape (n, 2) from this frame into the parent frame [m]."""
         return _moved(points, self.x, self.y, math.cos(self.yaw), math.sin(self.yaw))
 
@@ -69,9 +69,7 @@ def inverted(pose: Planar) -> Planar:
 
 
 @jit
-def _moved(
-    points: NDArray[np.float64], x: float, y: float, c: float, s: float
-) -> NDArray[np.float64]:
+def _moved(points: Floats, x: float, y: float, c: float, s: float) -> Floats:
     moved = np.empty(points.shape)
     for i in range(len(points)):
         moved[i, 0] = x + c * points[i, 0] - s * points[i, 1]

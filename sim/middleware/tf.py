@@ -6,11 +6,11 @@ All frames that navigation looks up move in the plane, so a transform is kept as
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
+from sim.arrays import Floats, Ints
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND
@@ -41,9 +41,6 @@ _TF_STATIC_QOS = qos.profile(100, latched=True)
 
 _PARENT, _COUNT, _STATIC = 0, 1, 2  # columns of the links
 _NONE, _UNCONNECTED = -1, -2  # instead of a row
-
-_Ints = NDArray[np.int64]
-_Floats = NDArray[np.float64]
 
 
 class TransformError(LookupError):
@@ -123,7 +120,7 @@ class TransformBuffer:
             new[tuple(map(slice, old.shape))] = old
 
 
-def _arrays(frames: int, samples: int) -> tuple[_Ints, _Ints, _Floats]:
+def _arrays(frames: int, samples: int) -> tuple[Ints, Ints, Floats]:
     """Return arrays for so many frames, with so many samples [ns] and [m, m, rad] of each."""
     links = np.tile(np.array([_NONE, 0, False]), (frames, 1))
     return links, np.empty((frames, samples), np.int64), np.empty((frames, samples, 3))
@@ -131,7 +128,7 @@ def _arrays(frames: int, samples: int) -> tuple[_Ints, _Ints, _Floats]:
 
 @jit
 def _add(
-    links: _Ints, times: _Ints, poses: _Floats, child: int, parent: int, static: int,
+    links: Ints, times: Ints, poses: Floats, child: int, parent: int, static: int,
     time_ns: int, x: float, y: float, yaw: float,
 ) -> int:  # fmt: skip
     """Add a sample, drop those that are too old, and return how many there are."""
@@ -161,7 +158,7 @@ def _add(
 
 @jit
 def _transform(
-    links: _Ints, times: _Ints, poses: _Floats, target: int, source: int, time_ns: int
+    links: Ints, times: Ints, poses: Floats, target: int, source: int, time_ns: int
 ) -> tuple[Planar, int]:
     """Return the pose of the source in the target, and the frame that is unknown, if any."""
     upper, upper_root, unknown = _to_root(links, times, poses, target, time_ns)
@@ -175,7 +172,7 @@ def _transform(
 
 @jit
 def _to_root(
-    links: _Ints, times: _Ints, poses: _Floats, frame: int, time_ns: int
+    links: Ints, times: Ints, poses: Floats, frame: int, time_ns: int
 ) -> tuple[Planar, int, int]:
     """Return a frame's pose in the root above it, the root, and the frame that is unknown."""
     pose = (0.0, 0.0, 0.0)
@@ -191,7 +188,7 @@ def _to_root(
 
 
 @jit
-def _at(link: _Ints, times: _Ints, poses: _Floats, time_ns: int) -> tuple[bool, Planar]:
+def _at(link: Ints, times: Ints, poses: Floats, time_ns: int) -> tuple[bool, Planar]:
     """Return whether a link is known at a time, and its pose then: between samples, linear."""
     index = last = link[_COUNT] - 1
     if time_ns != _LATEST and not link[_STATIC]:

@@ -8,11 +8,11 @@ import struct
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oracle_pipeline.bags.cdr import ENCAPSULATION, aligned
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
+from sim.arrays import Floats
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
@@ -197,7 +197,7 @@ def _has_moved(before: Pose2D, after: Pose2D) -> bool:
     )
 
 
-def _beams(scan: Any, range_max: float) -> NDArray[np.float64]:
+def _beams(scan: Any, range_max: float) -> Floats:
     """Return the ends of the beams that AMCL uses, in the sensor frame, shape (n, 2) [m].
 
     Readings without a return, and readings below the smallest range, are left out.
@@ -205,7 +205,7 @@ def _beams(scan: Any, range_max: float) -> NDArray[np.float64]:
     step = max(1, (len(scan.ranges) - 1) // (MAX_BEAMS - 1))
     ranges = scan.ranges[::step].astype(np.float64)
     hit = (ranges > scan.range_min) & (ranges < range_max)
-    points: NDArray[np.float64] = ranges[hit, np.newaxis] * beam_bearings(scan)[::step][hit]
+    points: Floats = ranges[hit, np.newaxis] * beam_bearings(scan)[::step][hit]
     return points
 
 

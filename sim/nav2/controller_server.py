@@ -20,7 +20,6 @@ from sim.middleware.stamps import stamp_ns
 from sim.middleware.tf import TransformBuffer, TransformError
 from sim.nav2.costmap_node import LocalCostmap
 from sim.nav2.dwb import Cycle, LocalPlanner
-from sim.nav2.dwb_critics import CostGrid
 from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.messages import TWIST, twist_bytes, twist_message
@@ -226,8 +225,7 @@ class ControllerServer(LifecycleNode):
             from_path = self._transforms.lookup(grid.frame, self._frame)
         except TransformError as error:
             raise _ControllerError(str(error)) from None
-        cells = CostGrid(grid.costs, grid.resolution, grid.origin_x, grid.origin_y)
-        cycle = self._planner.compute(cells, pose, self._velocity, from_path)
+        cycle = self._planner.compute(grid.cost_grid, pose, self._velocity, from_path)
         self._publish_plans(now_ns, cycle, grid.frame)
         if cycle.twist is not None:
             self._valid_ns = now_ns

@@ -5,7 +5,7 @@ What fills the grid is in ``costmap_layers``, the node that publishes it in ``co
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,15 @@ _OccupancyGrid = message_class(OCCUPANCY_GRID)
 _OCCUPANCY = np.array(
     [0, *(1 + 97 * (cost - 1) // 251 for cost in range(1, INSCRIBED)), 99, 100, -1], np.int8
 )
+
+
+class CostGrid(NamedTuple):
+    """A costmap as compiled code takes it."""
+
+    costs: Costs  # shape (rows, columns); row 0 has the smallest y
+    resolution: float  # [m]
+    origin_x: float  # of the lower left corner [m]
+    origin_y: float
 
 
 @dataclass(slots=True)
@@ -73,6 +82,11 @@ class Costmap2D:
             message.header.frame_id,
         )
 
+    @property
+    def cost_grid(self) -> CostGrid:
+        """The grid as compiled code takes it; it shares the costs."""
+        return CostGrid(self.costs, self.resolution, self.origin_x, self.origin_y)
+
     def contains(self, x: float, y: float) -> bool:
         """Return whether a point [m] lies on the grid."""
         column, row = self.cell(x, y)
@@ -91,10 +105,9 @@ class Costmap2D:
 
 
 @jit
-def _cost_at(
-    costs: Costs, resolution: float, origin_x: float, origin_y: float, x: float, y: float
-) -> int:
+def _cost_at(grid: CostGrid, x: float, y: float) -> int:
     """Return the cost under a point [m]; unknown (255) off the grid."""
+    costs, resolution, origin_x, origin_y = grid
     column = int(np.floor((x - origin_x) / resolution))
     row = int(np.floor((y - origin_y) / resolution))
     if row < 0 or column < 0 or row >= costs.shape[0] or column >= costs.shape[1]:
@@ -103,9 +116,7 @@ def _cost_at(
 
 
 @jit
-def _polygon_cost(
-    costs: Costs, resolution: float, origin_x: float, origin_y: float, polygon: Points
-) -> int:
+def _polygon_cost(grid: CostGrid, polygon: Points) -> int:
     """Return the highest cost under the edges of a polygon of shape (n, 2) [m].
 
     An edge is sampled at the rate of Bresenham's line: once per cell along its longer axis.
@@ -114,25 +125,17 @@ def _polygon_cost(
     for i in range(polygon.shape[0]):
         x, y = polygon[i]
         to_x, to_y = polygon[(i + 1) % polygon.shape[0]]
-        steps = int(np.ceil(max(abs(to_x - x), abs(to_y - y)) / resolution)) + 1
+        steps = int(np.ceil(max(abs(to_x - x), abs(to_y - y)) / grid.resolution)) + 1
         for step in range(steps):
             share = step / steps
-            cost = _cost_at(
-                costs,
-                resolution,
-                origin_x,
-                origin_y,
-                x + share * (to_x - x),
-                y + share * (to_y - y),
-            )
+            cost = _cost_at(grid, x + share * (to_x - x), y + share * (to_y - y))
             highest = max(highest, cost)
     return highest
 
 
 def footprint_cost(grid: Costmap2D, pose: Pose2D, footprint: Points = FOOTPRINT) -> int:
     """Return the highest cost under the outline of a robot at ``pose``; from 254 on it collides."""
-    outline = pose.apply(footprint)
-    return _polygon_cost(grid.costs, grid.resolution, grid.origin_x, grid.origin_y, outline)
+    return _polygon_cost(grid.cost_grid, pose.apply(footprint))
 
 
 # -- messages ------------------------------------------------------------------------------

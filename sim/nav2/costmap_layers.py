@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
-from sim.nav2.costmap import FREE_SPACE, LETHAL, NO_INFORMATION, Costmap2D, Costs, Points
+from sim.nav2.costmap import FREE_SPACE, LETHAL, NO_INFORMATION, CostGrid, Costmap2D, Costs, Points
 
 OBSTACLE_RANGE = 2.5  # nothing is marked beyond [m]
 RAYTRACE_RANGE = 3.0  # nothing is cleared beyond [m]
@@ -61,14 +61,11 @@ class ObstacleLayer:
 
         Returns how far the beams of each observation cleared, arrays of shape (n, 2) [m].
         """
-        place = (grid.resolution, grid.origin_x, grid.origin_y)
-        ends = [
-            _clear(self.costs, *place, seen.x, seen.y, seen.points, self._margin)
-            for seen in observations
-        ]
+        layer = grid.cost_grid._replace(costs=self.costs)
+        ends = [_clear(layer, s.x, s.y, s.points, self._margin) for s in observations]
         for seen in observations:
-            _mark(self.costs, *place, seen.x, seen.y, seen.points)
-        _fill_convex(self.costs, *place, footprint)
+            _mark(layer, seen.x, seen.y, seen.points)
+        _fill_convex(layer, footprint)
         return ends
 
     def add_to(self, costs: Costs) -> None:
@@ -106,21 +103,15 @@ def static_costs(occupancy: NDArray[np.int8]) -> Costs:
 
 @jit
 def _clear(
-    costs: Costs,
-    resolution: float,
-    origin_x: float,
-    origin_y: float,
-    sensor_x: float,
-    sensor_y: float,
-    points: Points,
-    margin: float,
+    grid: CostGrid, sensor_x: float, sensor_y: float, points: Points, margin: float
 ) -> Points:
     """Free the cells along every beam; return how far each cleared, shape (n, 2) [m]."""
+    costs, resolution, origin_x, origin_y = grid
     height, width = costs.shape
     # Slightly inside, so that the end of a beam at the far border still has a cell.
     right = origin_x + resolution * (width - 1e-6)
     top = origin_y + resolution * (height - 1e-6)
-    ends = _ends(origin_x, origin_y, right, top, sensor_x, sensor_y, points, margin)
+    ends = _ends((origin_x, origin_y, right, top), sensor_x, sensor_y, points, margin)
     from_x = (sensor_x - origin_x) / resolution
     from_y = (sensor_y - origin_y) / resolution
     if 0.0 <= from_x < width and 0.0 <= from_y < height:
@@ -139,16 +130,14 @@ def _clear(
 
 @jit
 def _ends(
-    left: float,
-    bottom: float,
-    right: float,
-    top: float,
+    box: tuple[float, float, float, float],
     sensor_x: float,
     sensor_y: float,
     points: Points,
     margin: float,
 ) -> Points:
-    """Return how far beams clear: short of their hits, in range, on the grid, shape (n, 2) [m]."""
+    """Return how far beams clear: short of their hits, in range, in a box, shape (n, 2) [m]."""
+    left, bottom, right, top = box
     ends = np.empty(points.shape)
     for i in range(len(points)):
         x, y = points[i, 0] - sensor_x, points[i, 1] - sensor_y
@@ -190,16 +179,9 @@ def _free_line(cells: Costs, width: int, start: int, columns: int, rows: int) ->
 
 
 @jit
-def _mark(
-    costs: Costs,
-    resolution: float,
-    origin_x: float,
-    origin_y: float,
-    sensor_x: float,
-    sensor_y: float,
-    points: Points,
-) -> None:
+def _mark(grid: CostGrid, sensor_x: float, sensor_y: float, points: Points) -> None:
     """Make the cells of all points in range lethal."""
+    costs, resolution, origin_x, origin_y = grid
     height, width = costs.shape
     for i in range(points.shape[0]):
         x, y = points[i]
@@ -212,10 +194,9 @@ def _mark(
 
 
 @jit
-def _fill_convex(
-    costs: Costs, resolution: float, origin_x: float, origin_y: float, polygon: Points
-) -> None:
+def _fill_convex(grid: CostGrid, polygon: Points) -> None:
     """Free the cells whose centre lies in a convex, counter-clockwise polygon."""
+    costs, resolution, origin_x, origin_y = grid
     height, width = costs.shape
     cells_x = (polygon[:, 0] - origin_x) / resolution
     cells_y = (polygon[:, 1] - origin_y) / resolution

@@ -11,7 +11,8 @@ import numpy as np
 
 from oracle_pipeline.bags.jit import jit
 from sim.middleware.geometry import Planar, Pose2D, composed, inverted, wrap_angle
-from sim.nav2.dwb_critics import CostGrid, Critics, map_plan, search
+from sim.nav2.costmap import CostGrid
+from sim.nav2.dwb_critics import Critics, map_plan, search
 from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.paths import Poses
 

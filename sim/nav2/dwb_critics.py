@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit, jit_unchecked
+from sim.arrays import Floats
+from sim.nav2.costmap import CostGrid
 from sim.nav2.dwb_sampling import (
     Parameters,
     ends,
@@ -25,15 +27,6 @@ from sim.nav2.paths import Poses
 INSCRIBED = 253  # from this cost on the robot's centre must not be in a cell; 255 is unknown
 UNKNOWN = 255
 _BORDER = 1e-6  # this close to the edge of a cell, the sums of a rollout decide [cells]
-
-
-class CostGrid(NamedTuple):
-    """A costmap as the kernels see it."""
-
-    costs: NDArray[np.uint8]  # shape (rows, columns); row 0 has the smallest y
-    resolution: float  # [m]
-    origin_x: float  # of the lower left corner [m]
-    origin_y: float
 
 
 class Cells(NamedTuple):
@@ -222,10 +215,10 @@ def _totals(
     pose: tuple[float, float, float],
     velocity: tuple[float, float],
     critics: Critics,
-    forward: NDArray[np.float64],
-    turning: NDArray[np.float64],
+    forward: Floats,
+    turning: Floats,
     rollout: Poses,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the score of each twist, infinite where the end of its rollout is illegal.
 
     Forward speeds by turning speeds, in one row. ``rollout`` is a work array.
@@ -260,7 +253,7 @@ def _totals(
 
 
 @jit
-def _slow_enough(critics: Critics, forward: NDArray[np.float64]) -> int:
+def _slow_enough(critics: Critics, forward: Floats) -> int:
     """Return how many of the ascending forward speeds are legal near the goal."""
     for i in range(len(forward)):
         v = forward[i]
@@ -275,9 +268,9 @@ def _take_to_cells(
     grid: CostGrid,
     pose: tuple[float, float, float],
     velocity: tuple[float, float],
-    forward: NDArray[np.float64],
+    forward: Floats,
     w: float,
-    points: NDArray[np.float64],
+    points: Floats,
     rollout: Poses,
 ) -> None:
     """Turn metres into cells; roll out where rounding could put a point into another cell."""
@@ -306,11 +299,11 @@ def _score(
     parameters: Parameters,
     grid: CostGrid,
     critics: Critics,
-    forward: NDArray[np.float64],
+    forward: Floats,
     w: float,
     yaw: float,
-    points: NDArray[np.float64],
-    totals: NDArray[np.float64],
+    points: Floats,
+    totals: Floats,
 ) -> None:
     """Fill in the scores of rollouts by their last points and those in front of them [cells]."""
     # Taken out of the tuples once: their arrays are counted each time that they are.

@@ -7,9 +7,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit, jit_unchecked
+from sim.arrays import Floats
 from sim.nav2.paths import Poses
 
 _EPSILON = 1e-5
@@ -58,7 +58,7 @@ def _approach(current: float, target: float, rise: float, fall: float) -> float:
 @jit
 def samples(
     current: float, low: float, high: float, rise: float, fall: float, count: int
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the speeds to try: evenly over what can be reached, and zero if it is between."""
     top, bottom = _approach(current, high, rise, fall), _approach(current, low, rise, fall)
     speeds = np.empty(count + 1)
@@ -78,9 +78,7 @@ def samples(
 
 
 @jit
-def twists(
-    parameters: Parameters, velocity: tuple[float, float]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def twists(parameters: Parameters, velocity: tuple[float, float]) -> tuple[Floats, Floats]:
     """Return the forward and the turning speeds to try; every pair but (0, 0) is a twist."""
     time = parameters.sim_time
     forward = samples(
@@ -111,9 +109,7 @@ def step_count(parameters: Parameters, twist: tuple[float, float]) -> int:
 
 
 @jit
-def most_poses(
-    parameters: Parameters, forward: NDArray[np.float64], turning: NDArray[np.float64]
-) -> int:
+def most_poses(parameters: Parameters, forward: Floats, turning: Floats) -> int:
     """Return how many poses the longest rollout of ascending speeds has."""
     driving = step_count(parameters, (forward[-1], 0.0))
     left, right = (
@@ -166,7 +162,7 @@ def headings(
     turning: float,
     target: float,
     count: int,
-    way: NDArray[np.float64],
+    way: Floats,
 ) -> tuple[float, float]:
     """Return the direction at the end of a rollout, and fill in where its steps lead.
 
@@ -216,11 +212,11 @@ def ends(
     parameters: Parameters,
     place: tuple[float, float],
     forward: float,
-    targets: NDArray[np.float64],
+    targets: Floats,
     count: int,
-    way: NDArray[np.float64],
+    way: Floats,
     ahead: tuple[float, float],
-    points: NDArray[np.float64],
+    points: Floats,
 ) -> None:
     """Find where rollouts end, up to the rounding of their sums.
 

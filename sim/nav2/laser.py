@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
+from sim.arrays import Floats
 from sim.middleware.geometry import Pose2D
 
 
-def scan_points(scan: Any, sensor: Pose2D) -> NDArray[np.float64]:
+def scan_points(scan: Any, sensor: Pose2D) -> Floats:
     """Return where the beams of a scan ended.
 
     Parameters
@@ -31,7 +32,7 @@ def scan_points(scan: Any, sensor: Pose2D) -> NDArray[np.float64]:
     return _projected(scan.ranges, beam_bearings(scan), scan.range_min, scan.range_max, *pose)
 
 
-def beam_bearings(scan: Any) -> NDArray[np.float64]:
+def beam_bearings(scan: Any) -> Floats:
     """Return unit vectors along the beams of a scan, in the sensor frame, shape (n, 2)."""
     return _bearings(scan.angle_min, scan.angle_increment, len(scan.ranges))
 
@@ -39,14 +40,14 @@ def beam_bearings(scan: Any) -> NDArray[np.float64]:
 @jit
 def _projected(
     ranges: NDArray[np.float32],
-    bearings: NDArray[np.float64],
+    bearings: Floats,
     range_min: float,
     range_max: float,
     sensor_x: float,
     sensor_y: float,
     c: float,
     s: float,
-) -> NDArray[np.float64]:
+) -> Floats:
     points = np.empty(bearings.shape)
     count = 0
     for i in range(len(ranges)):
@@ -60,7 +61,7 @@ def _projected(
 
 
 @functools.lru_cache(maxsize=16)
-def _bearings(angle_min: float, increment: float, count: int) -> NDArray[np.float64]:
+def _bearings(angle_min: float, increment: float, count: int) -> Floats:
     with np.errstate(invalid="ignore", over="ignore"):  # an attacked scan may have any angles
         angles = angle_min + increment * np.arange(count)
         return np.column_stack([np.cos(angles), np.sin(angles)])

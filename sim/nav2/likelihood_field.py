@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from oracle_pipeline.bags.jit import jit
+from sim.arrays import Floats
 
 MAX_DISTANCE = 2.0  # to an obstacle; farther counts as this far [m]
 SIGMA_HIT = 0.2  # [m]
@@ -42,9 +43,7 @@ class LikelihoodField:
         self._hit = np.pad(hit, 1, constant_values=miss)
         self._place = (resolution, origin_x, origin_y)
 
-    def weights(
-        self, poses: NDArray[np.float64], points: NDArray[np.float64], range_max: float
-    ) -> NDArray[np.float64]:
+    def weights(self, poses: Floats, points: Floats, range_max: float) -> Floats:
         """Return how well a scan fits each pose.
 
         Parameters
@@ -67,14 +66,14 @@ class LikelihoodField:
 
 @jit
 def _weigh(
-    poses: NDArray[np.float64],
-    points: NDArray[np.float64],
-    hit: NDArray[np.float64],
+    poses: Floats,
+    points: Floats,
+    hit: Floats,
     random: float,
     resolution: float,
     origin_x: float,
     origin_y: float,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Weigh by one beam after the other, as processors find the cells of several poses at once."""
     height, width = hit.shape
     hit_at, cells = hit.ravel(), np.empty(len(poses), np.int32)

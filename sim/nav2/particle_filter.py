@@ -7,9 +7,9 @@ Nav2. Maps and scans come in as a `LikelihoodField`'s weights; the node handles 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
+from sim.arrays import Floats, Ints
 from sim.middleware.geometry import Pose2D, wrap_angle
 
 MIN_PARTICLES = 500
@@ -21,7 +21,7 @@ _KLD_Z = 0.99
 _ALPHA = 0.2  # alpha1 to alpha4 of the motion model
 
 
-def kld_limits() -> NDArray[np.int64]:
+def kld_limits() -> Ints:
     """Return how many particles are enough for k occupied bins, by k from 0 to the maximum.
 
     With one bin or none, the result is the maximum. So a filter that has converged to one bin does
@@ -55,7 +55,7 @@ class ParticleFilter:
         Shape (n,), sum one.
     """
 
-    def __init__(self, poses: NDArray[np.float64], rng: np.random.Generator) -> None:
+    def __init__(self, poses: Floats, rng: np.random.Generator) -> None:
         self._rng = rng
         self.poses = poses
         self.weights = np.full(len(poses), 1.0 / len(poses))
@@ -91,7 +91,7 @@ class ParticleFilter:
             ]
         )
 
-    def weigh(self, factors: NDArray[np.float64]) -> None:
+    def weigh(self, factors: Floats) -> None:
         """Multiply the weights by how well a scan fits each particle."""
         weights = self.weights * factors
         self.weights = weights / weights.sum()
@@ -104,7 +104,7 @@ class ParticleFilter:
         self.poses = _drawn(self.poses, cumulative, draws, bin_of, len(first))
         self.weights = np.full(len(self.poses), 1.0 / len(self.poses))
 
-    def estimate(self) -> tuple[Pose2D, NDArray[np.float64]]:
+    def estimate(self) -> tuple[Pose2D, Floats]:
         """Return the mean of the heaviest cluster, and the covariance of all, shape (3, 3).
 
         As in Nav2 the yaw has its circular variance, and none with x and y.
@@ -123,13 +123,7 @@ class ParticleFilter:
 
 
 @jit
-def _drawn(
-    poses: NDArray[np.float64],
-    cumulative: NDArray[np.float64],
-    draws: NDArray[np.float64],
-    bin_of: NDArray[np.int64],
-    bins: int,
-) -> NDArray[np.float64]:
+def _drawn(poses: Floats, cumulative: Floats, draws: Floats, bin_of: Ints, bins: int) -> Floats:
     """Return the poses that draws fall on: as many as their occupied bins need, shape (n, 3)."""
     drawn = np.empty((len(draws), 3))
     is_occupied, occupied, count = np.zeros(bins, np.bool_), 0, 0
@@ -144,9 +138,7 @@ def _drawn(
 
 
 @jit
-def _spread(
-    poses: NDArray[np.float64], weights: NDArray[np.float64], centre: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _spread(poses: Floats, weights: Floats, centre: Floats) -> Floats:
     """Return the covariance of x and y around a centre, shape (2, 2) [m^2].
 
     Without BLAS, whose sums depend on its threads: the same run gives the same bytes.
@@ -160,7 +152,7 @@ def _spread(
     return covariance
 
 
-def cluster_labels(poses: NDArray[np.float64]) -> NDArray[np.int64]:
+def cluster_labels(poses: Floats) -> Ints:
     """Return a cluster number for each pose: occupied bins that touch, also at a corner, are one.
 
     Parameters
@@ -173,7 +165,7 @@ def cluster_labels(poses: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 @jit
-def _joined(bins: NDArray[np.int64]) -> NDArray[np.int64]:
+def _joined(bins: Ints) -> Ints:
     """Return a cluster number for each of some different bins, shape (k, 3).
 
     Clusters are numbered by their first bins.
@@ -205,9 +197,7 @@ def _joined(bins: NDArray[np.int64]) -> NDArray[np.int64]:
     return cluster
 
 
-def _occupied_bins(
-    poses: NDArray[np.float64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _occupied_bins(poses: Floats) -> tuple[Ints, Ints, Ints]:
     """Return the bin of each pose (n, 3), the first pose in each occupied bin, and each one's."""
     bins = _bins(poses)
     keys = (bins[:, 0] * 100_000 + bins[:, 1]) * _YAW_BINS + bins[:, 2]
@@ -216,7 +206,7 @@ def _occupied_bins(
 
 
 @jit
-def _bins(poses: NDArray[np.float64]) -> NDArray[np.int64]:
+def _bins(poses: Floats) -> Ints:
     """Return the bin of each pose, shape (n, 3)."""
     bins = np.empty(poses.shape, np.int64)
     for i in range(len(poses)):
@@ -226,7 +216,7 @@ def _bins(poses: NDArray[np.float64]) -> NDArray[np.int64]:
     return bins
 
 
-def _mean(vectors: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+def _mean(vectors: Floats, weights: Floats) -> Floats:
     """Return the weighted mean of vectors, one a column."""
-    mean: NDArray[np.float64] = (weights / weights.sum() * vectors).sum(axis=1)
+    mean: Floats = (weights / weights.sum() * vectors).sum(axis=1)
     return mean

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.cdr import ENCAPSULATION, aligned
 from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.bags.types import message_class, serialize
+from sim.arrays import Floats
 from sim.middleware.stamps import header
 from sim.nav2.messages import pose_stamped, pose_yaw
 
@@ -128,7 +129,7 @@ def length_ahead(poses: Poses, x: float, y: float) -> float:
 
 
 @jit
-def _steps_ahead(poses: Poses, x: float, y: float) -> NDArray[np.float64]:
+def _steps_ahead(poses: Poses, x: float, y: float) -> Floats:
     """Return the distances from pose to pose, from the pose closest to a point on [m]."""
     closest, least = 0, math.inf
     for i in range(len(poses)):

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.middleware.geometry import Pose2D, wrap_angle
+from sim.nav2.costmap import CostGrid
 from sim.nav2.dwb import Cycle, LocalPlanner
-from sim.nav2.dwb_critics import CostGrid
 from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.paths import Poses
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
+from sim.arrays import Floats
 
 Points = NDArray[np.float64]
 ArenaKind = Literal["hexagon", "house", "random"]
@@ -57,7 +58,7 @@ class Hexagon:
         """Return the outline seen from above."""
         return _HEXAGON, self.x, self.y, self.apothem, self.circumradius / 2.0, 1.0, 0.0
 
-    def signed_distance(self, points: Points) -> NDArray[np.float64]:
+    def signed_distance(self, points: Points) -> Floats:
         """Return the distance of points of shape (n, 2) from the surface; negative inside [m]."""
         return _distances(points, np.array(self.outline()))
 
@@ -93,7 +94,7 @@ class Box:
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         return _RECTANGLE, self.x, self.y, self.half_x, self.half_y, c, s
 
-    def signed_distance(self, points: Points) -> NDArray[np.float64]:
+    def signed_distance(self, points: Points) -> Floats:
         """Return the distance of points of shape (n, 2) from the surface; negative inside [m]."""
         return _distances(points, np.array(self.outline()))
 
@@ -112,7 +113,7 @@ class Cylinder:
         """Return the outline seen from above."""
         return _CIRCLE, self.x, self.y, self.radius, 0.0, 1.0, 0.0
 
-    def signed_distance(self, points: Points) -> NDArray[np.float64]:
+    def signed_distance(self, points: Points) -> Floats:
         """Return the distance of points of shape (n, 2) from the surface; negative inside [m]."""
         return _distances(points, np.array(self.outline()))
 
@@ -123,7 +124,7 @@ _CIRCLE, _RECTANGLE, _HEXAGON = 0.0, 1.0, 2.0
 
 
 @jit
-def _distance(outline: NDArray[np.float64], x: float, y: float) -> float:
+def _distance(outline: Floats, x: float, y: float) -> float:
     """Return the distance of a point from an outline; negative inside [m]."""
     kind, centre_x, centre_y, first, second, c, s = outline
     x, y = x - centre_x, y - centre_y
@@ -145,7 +146,7 @@ def _distance(outline: NDArray[np.float64], x: float, y: float) -> float:
 
 
 @jit
-def _distances(points: Points, outline: NDArray[np.float64]) -> NDArray[np.float64]:
+def _distances(points: Points, outline: Floats) -> Floats:
     found = np.empty(len(points))
     for i in range(len(points)):
         found[i] = _distance(outline, points[i, 0], points[i, 1])
@@ -153,9 +154,7 @@ def _distances(points: Points, outline: NDArray[np.float64]) -> NDArray[np.float
 
 
 @jit
-def _clearance(
-    points: Points, boundary: NDArray[np.float64], obstacles: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _clearance(points: Points, boundary: Floats, obstacles: Floats) -> Floats:
     found = np.empty(len(points))
     for i in range(len(points)):
         nearest = -_distance(boundary, points[i, 0], points[i, 1])
@@ -206,7 +205,7 @@ class Arena:
         """Kind and seed, which identify an arena that is not mirrored."""
         return f"{self.kind}-{self.seed}"
 
-    def clearance(self, points: Points) -> NDArray[np.float64]:
+    def clearance(self, points: Points) -> Floats:
         """Return the distance of each point to the nearest surface.
 
         Parameters
@@ -232,7 +231,7 @@ class Arena:
 
 
 @functools.lru_cache(maxsize=8)  # many points are drawn in the same arena
-def _outlines(arena: Arena) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _outlines(arena: Arena) -> tuple[Floats, Floats]:
     """Return the outline of the boundary, and those of the obstacles, one in a row."""
     obstacles = [piece.outline() for piece in (*arena.blocks, *arena.pillars)]
     return np.array(arena.boundary.outline()), np.array(obstacles).reshape(-1, 7)

@@ -8,9 +8,9 @@ import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
+from sim.arrays import Floats
 from sim.turtlebot3.arena import Arena, Cylinder, Prism
 
 # The ball: its centre in the robot's frame [m], and its radius with 1 cm to spare [m]. Farthest
@@ -36,7 +36,7 @@ class ClearSpace:
         pillars = (*arena.pillars, *obstacles)
         self._pillars = np.array([(p.x, p.y, p.radius) for p in pillars]).reshape(-1, 3)
 
-    def holds(self, poses: NDArray[np.float64]) -> bool:
+    def holds(self, poses: Floats) -> bool:
         """Return whether the robot is clear of all pieces at each of some poses.
 
         Parameters
@@ -47,18 +47,13 @@ class ClearSpace:
         return _all_clear(poses, self._boundary, self._blocks, self._pillars)
 
 
-def _rows(blocks: Iterable[Prism]) -> NDArray[np.float64]:
+def _rows(blocks: Iterable[Prism]) -> Floats:
     """Return x and y of each block's centre, then its three slabs, shape (n, 11)."""
     return np.array([(b.x, b.y, *b.slabs().ravel()) for b in blocks]).reshape(-1, 11)
 
 
 @jit
-def _all_clear(
-    poses: NDArray[np.float64],
-    boundary: NDArray[np.float64],
-    blocks: NDArray[np.float64],
-    pillars: NDArray[np.float64],
-) -> bool:
+def _all_clear(poses: Floats, boundary: Floats, blocks: Floats, pillars: Floats) -> bool:
     for i in range(len(poses)):
         w, qx, qy, qz = poses[i, 3], poses[i, 4], poses[i, 5], poses[i, 6]
         x = poses[i, 0] + (1.0 - 2.0 * (qy * qy + qz * qz)) * CENTRE_X
@@ -74,7 +69,7 @@ def _all_clear(
 
 
 @jit
-def _beyond(x: float, y: float, block: NDArray[np.float64]) -> float:
+def _beyond(x: float, y: float, block: Floats) -> float:
     """Return the distance of a point from the slab of a block that is farthest from it [m]."""
     out = -np.inf
     for i in range(2, 11, 3):
@@ -84,7 +79,7 @@ def _beyond(x: float, y: float, block: NDArray[np.float64]) -> float:
 
 
 @jit
-def _is_outside(x: float, y: float, blocks: NDArray[np.float64]) -> bool:
+def _is_outside(x: float, y: float, blocks: Floats) -> bool:
     for i in range(len(blocks)):  # noqa: SIM110 -- numba has no generators of this kind
         if _beyond(x, y, blocks[i]) < RADIUS:
             return False
@@ -92,7 +87,7 @@ def _is_outside(x: float, y: float, blocks: NDArray[np.float64]) -> bool:
 
 
 @jit
-def _is_away(x: float, y: float, pillars: NDArray[np.float64]) -> bool:
+def _is_away(x: float, y: float, pillars: Floats) -> bool:
     for i in range(len(pillars)):
         if math.hypot(x - pillars[i, 0], y - pillars[i, 1]) < pillars[i, 2] + RADIUS:
             return False

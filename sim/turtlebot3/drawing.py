@@ -13,9 +13,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
+from sim.arrays import Floats
 from sim.campaigns import ArenaChoice, Campaign, Navigation, Options, RecipeError, Relation
 from sim.middleware.geometry import Pose2D
 from sim.nav2.costmap import Costmap2D
@@ -58,7 +58,7 @@ def draw_block(seed: int, block: int, goals: int, choice: ArenaChoice = "drawn")
     rng = generator(seed, BLOCK, block)
     grid = planning_grid(arena)
     stops = [_draw_free_pose(rng, arena)]
-    legs: list[NDArray[np.float64]] = []
+    legs: list[Floats] = []
     while len(legs) < goals:
         stop = _draw_free_pose(rng, arena)
         if stop.distance_to(stops[-1]) < MIN_LEG_M:
@@ -96,7 +96,7 @@ def _nav2(arena: Arena, options: Options) -> Navigation:
 
 
 @jit
-def _can_be_followed(path: NDArray[np.float64]) -> bool:
+def _can_be_followed(path: Floats) -> bool:
     """Return whether the controller can follow a path of shape (n, 2) in the map frame.
 
     See `MIN_APPROACH`.
@@ -134,7 +134,7 @@ def _draw_free_pose(rng: np.random.Generator, arena: Arena) -> Pose2D:
 
 
 def _draw_fake_object(
-    rng: np.random.Generator, legs: list[NDArray[np.float64]], stops: list[Pose2D]
+    rng: np.random.Generator, legs: list[Floats], stops: list[Pose2D]
 ) -> FakeObject:
     """Draw a cylinder on the path of a late leg, even if it blocks every way around.
 
@@ -150,7 +150,7 @@ def _draw_fake_object(
     return FakeObject(x, y, radius=rng.uniform(0.15, 0.25))
 
 
-def path_length(path: NDArray[np.float64]) -> float:
+def path_length(path: Floats) -> float:
     """Return the length of a path of shape (n, 2) [m]."""
     return float(np.hypot(*np.diff(path, axis=0).T).sum())
 

@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple, ParamSpec
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from sim.arrays import Floats
 from sim.nav2.footprint import INSCRIBED_RADIUS
 from sim.turtlebot3.arena import HEXAGON, Arena, ArenaKind, Box, Cylinder, Prism
 
@@ -91,7 +91,7 @@ class _Floor:
         return Arena(kind, seed, self.boundary, tuple(self.blocks), tuple(self.pillars))
 
 
-def _obstacle_groups(distance: NDArray[np.float64]) -> int:
+def _obstacle_groups(distance: Floats) -> int:
     """Return the number of groups of obstacles that the robot can drive around; 0 if any is narrow.
 
     No passage is narrow if growing the obstacles from the robot's radius to half of

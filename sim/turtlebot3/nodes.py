@@ -6,8 +6,8 @@ Each node gets one measurement of the world and nothing else.
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.arrays import Floats
 from sim.campaigns import OdometrySource
 from sim.middleware import qos
 from sim.middleware.domain import Domain
@@ -83,7 +83,7 @@ def add_robot(
     RobotStatePublisher(domain)
 
 
-def _rays(world: World, mount: frames.Mount) -> Callable[[NDArray[np.float64], float], Ranges]:
+def _rays(world: World, mount: frames.Mount) -> Callable[[Floats, float], Ranges]:
     """Return a sensor's view of the world: ranges along bearings of its own frame."""
     x, y, z = mount.xyz
     pose, height = Pose2D(x, y), z + frames.STATIC[0].xyz[2]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
+from sim.arrays import Floats
 
 _MIN = 1e-15  # mjMINVAL
 _SPARE = 1e-6  # margin of the test whether a ray comes near a piece [m]
@@ -21,9 +22,9 @@ _SPARE = 1e-6  # margin of the test whether a ray comes near a piece [m]
 class Geom(NamedTuple):
     """A box or a cylinder, as in ``mjModel`` and ``mjData``."""
 
-    position: NDArray[np.float64]  # (3,) of its centre [m]
-    rotation: NDArray[np.float64]  # (9,) from its frame into the world's, by rows
-    size: NDArray[np.float64]  # (3,) half sizes of a box; radius and half length of a cylinder [m]
+    position: Floats  # (3,) of its centre [m]
+    rotation: Floats  # (9,) from its frame into the world's, by rows
+    size: Floats  # (3,) half sizes of a box; radius and half length of a cylinder [m]
     is_box: bool
 
 
@@ -43,12 +44,8 @@ class Rays:
         self._is_box = np.array([p.is_box for p in pieces], np.bool_)
 
     def distances(
-        self,
-        origin: tuple[float, float, float],
-        cosines: NDArray[np.float64],
-        sines: NDArray[np.float64],
-        range_max: float,
-    ) -> NDArray[np.float64]:
+        self, origin: tuple[float, float, float], cosines: Floats, sines: Floats, range_max: float
+    ) -> Floats:
         """Return the length of each ray [m]; ``inf`` beyond ``range_max``.
 
         Parameters
@@ -71,15 +68,15 @@ def _reach(piece: Geom) -> float:
 
 @jit
 def _cast(
-    pieces: NDArray[np.float64],
+    pieces: Floats,
     is_box: NDArray[np.bool_],
     x: float,
     y: float,
     z: float,
-    cosines: NDArray[np.float64],
-    sines: NDArray[np.float64],
+    cosines: Floats,
+    sines: Floats,
     range_max: float,
-) -> NDArray[np.float64]:
+) -> Floats:
     nearest = np.full(len(cosines), np.inf)
     point = np.empty(3)
     for p in range(len(pieces)):
@@ -106,13 +103,7 @@ def _cast(
 
 
 @jit
-def _to_box(
-    rotation: NDArray[np.float64],
-    size: NDArray[np.float64],
-    point: NDArray[np.float64],
-    vx: float,
-    vy: float,
-) -> float:
+def _to_box(rotation: Floats, size: Floats, point: Floats, vx: float, vy: float) -> float:
     """Return the distance to a box, -1 if the ray misses it; ``point`` is in the box's frame."""
     ray = (
         rotation[0] * vx + rotation[3] * vy + rotation[6] * 0.0,
@@ -137,13 +128,7 @@ def _to_box(
 
 
 @jit
-def _to_cylinder(
-    rotation: NDArray[np.float64],
-    size: NDArray[np.float64],
-    point: NDArray[np.float64],
-    vx: float,
-    vy: float,
-) -> float:
+def _to_cylinder(rotation: Floats, size: Floats, point: Floats, vx: float, vy: float) -> float:
     """Return the distance to an upright cylinder's round side, -1 if the ray misses it."""
     ray_x = rotation[0] * vx + rotation[3] * vy + rotation[6] * 0.0
     ray_y = rotation[1] * vx + rotation[4] * vy + rotation[7] * 0.0

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.bags.types import message_class
+from sim.arrays import Floats
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
@@ -70,7 +71,7 @@ class RobotStatePublisher(Node):
 
 @jit
 def _fill_in(
-    row: NDArray[np.void], now_ns: int, left: float, right: float, rotations: NDArray[np.float64]
+    row: NDArray[np.void], now_ns: int, left: float, right: float, rotations: Floats
 ) -> tuple[_Rotation, _Rotation]:
     """Write stamps and rotations of the wheels' transforms; return the rotations."""
     first, second = _turned(rotations[0], left), _turned(rotations[1], right)
@@ -86,7 +87,7 @@ def _fill_in(
 
 
 @jit
-def _turned(rotation: NDArray[np.float64], angle: float) -> _Rotation:
+def _turned(rotation: Floats, angle: float) -> _Rotation:
     """Return a rotation (x, y, z, w) followed by a turn about its own z axis."""
     x, y, z, w = rotation
     s, c = math.sin(angle / 2.0), math.cos(angle / 2.0)

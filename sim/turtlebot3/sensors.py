@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
+from sim.arrays import Floats
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
@@ -143,12 +144,12 @@ def _fill_in(
     rows: NDArray[np.void],
     begin_ns: int,
     period_ns: int,
-    orientations: NDArray[np.float64],
-    angular_velocities: NDArray[np.float64],
-    linear_accelerations: NDArray[np.float64],
+    orientations: Floats,
+    angular_velocities: Floats,
+    linear_accelerations: Floats,
     scale: float,
     bias: float,
-    noise: NDArray[np.float64],
+    noise: Floats,
 ) -> None:
     """Write one message in each row; noise is (n, 6), of both measurements [sd]."""
     for i in range(len(rows)):
@@ -185,7 +186,7 @@ class LaserPlugin(Node):
         name: str,
         topic: str,
         mount: frames.Mount,
-        measure: Callable[[NDArray[np.float64], float], Ranges],
+        measure: Callable[[Floats, float], Ranges],
         noise: LidarNoise,
         rng: np.random.Generator,
         phase_ns: int,
@@ -251,7 +252,7 @@ class RangePlugin(Node):
     def __init__(
         self,
         domain: Domain,
-        measure: Callable[[NDArray[np.float64], float], Ranges],
+        measure: Callable[[Floats, float], Ranges],
         rng: np.random.Generator,
         phase_ns: int,
     ) -> None:

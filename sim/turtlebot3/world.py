@@ -12,9 +12,9 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
-from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
+from sim.arrays import Floats
 from sim.middleware.geometry import Pose2D, quaternion_yaw, wrapped
 from sim.turtlebot3.clear_space import ClearSpace
 from sim.turtlebot3.mjcf import STATIC, STEP_NS, WorldParameters, mjcf, pieces
@@ -34,9 +34,9 @@ class ImuSamples(NamedTuple):
     """Measurements of an ideal inertial unit in ``imu_link``, one for each physics step."""
 
     stamps_ns: range  # n of them
-    orientations: NDArray[np.float64]  # (n, 4), quaternions w, x, y, z
-    angular_velocities: NDArray[np.float64]  # (n, 3) [rad/s]
-    linear_accelerations: NDArray[np.float64]  # (n, 3), gravity included [m/s^2]
+    orientations: Floats  # (n, 4), quaternions w, x, y, z
+    angular_velocities: Floats  # (n, 3) [rad/s]
+    linear_accelerations: Floats  # (n, 3), gravity included [m/s^2]
 
 
 class _Motion(NamedTuple):
@@ -53,7 +53,7 @@ class _Physics(NamedTuple):
 
     models: list[mujoco.MjModel]
     datas: list[mujoco.MjData]
-    warm_start: NDArray[np.float64]  # of its solver; a view of the state
+    warm_start: Floats  # of its solver; a view of the state
 
     @classmethod
     def of(cls, description: str) -> "_Physics":
@@ -145,7 +145,7 @@ class World:
         """Ground truth of ``base_footprint`` in the world."""
         return self._moving().pose
 
-    def clearance(self, places: NDArray[np.float64]) -> float:
+    def clearance(self, places: Floats) -> float:
         """Return the smallest distance of points of shape (n, 2) from any surface [m]."""
         distances = [
             self._arena.clearance(places),
@@ -185,9 +185,7 @@ class World:
             measured[:, _ACCELEROMETER],
         )
 
-    def scan(
-        self, mount: Pose2D, height: float, bearings: NDArray[np.float64], range_max: float
-    ) -> NDArray[np.float64]:
+    def scan(self, mount: Pose2D, height: float, bearings: Floats, range_max: float) -> Floats:
         """Measure along horizontal rays.
 
         Parameters
@@ -235,7 +233,7 @@ class World:
         self._unknown_ns += steps * STEP_NS
         self._states, self._inertial = states, inertial
 
-    def _step(self, states: NDArray[np.float64], inertial: NDArray[np.float64]) -> None:
+    def _step(self, states: Floats, inertial: Floats) -> None:
         """Fill in the next states, and the samples of the inertial unit in them."""
         if self._is_clear or self._clear.holds(self._states[-1:, _POSE]):
             self._run(self._alone, states, inertial)
@@ -249,9 +247,7 @@ class World:
         self._watch_contacts(self._unknown_ns // STEP_NS, measured[:, _TOUCHES])
         inertial[:] = measured[:, _INERTIAL]
 
-    def _run(
-        self, physics: _Physics, states: NDArray[np.float64], measured: NDArray[np.float64]
-    ) -> None:
+    def _run(self, physics: _Physics, states: Floats, measured: Floats) -> None:
         """Fill in states and sensors of the next steps by one of the two models."""
         commands = np.empty((1, len(states), len(self._command)))
         commands[:] = self._command
@@ -261,7 +257,7 @@ class World:
             sensordata=measured[np.newaxis],
         )  # fmt: skip
 
-    def _watch_contacts(self, first: int, touching: NDArray[np.float64]) -> None:
+    def _watch_contacts(self, first: int, touching: Floats) -> None:
         """Record each piece that the robot touches and has not touched for a while."""
         for row, piece in np.argwhere(touching).tolist():
             name, stamp_ns = self._pieces[piece], (first + row) * STEP_NS
@@ -273,7 +269,7 @@ class World:
 
 @jit
 def _carried_on(
-    state: NDArray[np.float64], now_ns: int
+    state: Floats, now_ns: int
 ) -> tuple[float, float, float, tuple[float, float], Wheels, Wheels]:
     """Return the motion now: that of the last step, extrapolated with its speeds."""
     ahead_s = now_ns % STEP_NS / 1e9

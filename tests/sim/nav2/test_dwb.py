@@ -10,8 +10,9 @@ from scipy import ndimage
 
 from sim.middleware.geometry import Pose2D
 from sim.nav2 import dwb, dwb_critics, dwb_sampling
+from sim.nav2.costmap import CostGrid
 from sim.nav2.dwb import LocalPlanner
-from sim.nav2.dwb_critics import CostGrid, Critics
+from sim.nav2.dwb_critics import Critics
 from sim.nav2.dwb_sampling import Parameters
 
 STOCK = Parameters(sim_time=1.7)  # the figures of the stock rollout are known

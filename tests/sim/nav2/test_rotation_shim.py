@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.middleware.geometry import Pose2D, wrap_angle
-from sim.nav2.dwb_critics import CostGrid
+from sim.nav2.costmap import CostGrid
 from sim.nav2.rotation_shim import RotationShim, ShimParameters
 
 GRID = CostGrid(np.zeros((60, 60), np.uint8), 0.05, -1.5, -1.5)
