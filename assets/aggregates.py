@@ -11,6 +11,7 @@ from assets.asset_defaults import SINGLE_RUN, declared
 from assets.partitions import testbed_of
 from assets.worker.versions import analysis_code
 from oracle_pipeline.bags.remote import published
+from resources.failures import clear_failures
 from resources.store import RunStore
 from sim.modes import modes
 from sim.testbeds import TESTBEDS, require_testbed
@@ -60,7 +61,7 @@ def aggregate(
             backfill_policy=SINGLE_RUN,
             freshness_policy=freshness_policy,
             **declared("campaign", place or f"report/parts/{function.__name__}"),
-        )(function)
+        )(clear_failures()(function))
 
     return decorate
 

@@ -5,7 +5,6 @@ import dagster as dg
 from assets import presentation
 from assets.aggregates import DATASET, TRUTH, WINDOWS, aggregate
 from assets.partitions import RUNS
-from resources.failures import clear_failures
 from resources.store import RunStore
 
 FEATURES_OF_RUNS = [
@@ -34,15 +33,14 @@ def feature_dataset(
 
     runs = [run for key in RUNS.get_partition_keys() for run in store.runs(key)]
     extracted = [run for run in runs if kept_tables(run)]
-    with clear_failures():
-        manifests = {run.key: run.manifest() for run in extracted if run.is_complete()}
-        too_short = sorted(key for key, manifest in manifests.items() if manifest.onset_s is None)
-        joined = [run for run in extracted if run.key not in too_short]
-        df = datasets.feature_dataset(read_tables(joined, "run"))
-        windows = datasets.window_dataset(read_tables(joined, "window"))
-        datasets.write_table(df, store.dataset(DATASET))
-        datasets.write_table(windows, store.dataset(WINDOWS))
-        datasets.write_table(truth_table(manifests.values()), store.dataset(TRUTH))
+    manifests = {run.key: run.manifest() for run in extracted if run.is_complete()}
+    too_short = sorted(key for key, manifest in manifests.items() if manifest.onset_s is None)
+    joined = [run for run in extracted if run.key not in too_short]
+    df = datasets.feature_dataset(read_tables(joined, "run"))
+    windows = datasets.window_dataset(read_tables(joined, "window"))
+    datasets.write_table(df, store.dataset(DATASET))
+    datasets.write_table(windows, store.dataset(WINDOWS))
+    datasets.write_table(truth_table(manifests.values()), store.dataset(TRUTH))
     runs_of_mode = df.groupby("mode", sort=False).size()
     context.log.info(
         f"Joined {len(df)} runs of {len(runs_of_mode)} modes, with {len(windows)} windows, in "

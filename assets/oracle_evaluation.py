@@ -11,7 +11,6 @@ from assets.aggregates import TRUTH, TestbedConfig, aggregate, keep, run_table, 
 from assets.feature_dataset import feature_dataset
 from assets.run_checks import PAIR_CHECK, complete_pairs
 from oracle_pipeline.bags.run_directory import RunDirectory
-from resources.failures import clear_failures
 from resources.fleet import PROGRESS_S, Fleet
 from resources.store import RunStore
 
@@ -35,20 +34,19 @@ def oracle_evaluation(
     from oracle_pipeline.evaluation.campaign_evaluation import evaluate
     from oracle_pipeline.reporting.evaluation_report import evaluation_report
 
-    with clear_failures():
-        df = run_table(store, config.testbed)
-        evaluation = evaluate(
-            df,
-            windows_of(store, df),
-            read_table(store.dataset(TRUTH)),
-            observations=_observations(context, store, fleet, list(df["run_id"])),
-            graph_differences=_graph_differences(store, fleet, set(df["run_id"])),
-            grid=_mutants(store, fleet),
-            progress=_throttled(context.log.info),
-        )
-        report = evaluation_report(evaluation)
-        context.log.info(f"{report.summary['headline']} {report.summary['verdicts']}".strip())
-        return keep(report, store, "oracle_evaluation")
+    df = run_table(store, config.testbed)
+    evaluation = evaluate(
+        df,
+        windows_of(store, df),
+        read_table(store.dataset(TRUTH)),
+        observations=_observations(context, store, fleet, list(df["run_id"])),
+        graph_differences=_graph_differences(store, fleet, set(df["run_id"])),
+        grid=_mutants(store, fleet),
+        progress=_throttled(context.log.info),
+    )
+    report = evaluation_report(evaluation)
+    context.log.info(f"{report.summary['headline']} {report.summary['verdicts']}".strip())
+    return keep(report, store, "oracle_evaluation")
 
 
 def _throttled(log: Callable[[str], None]) -> Callable[[str], None]:

@@ -23,7 +23,6 @@ from assets.thesis_method import (
     runs_drawn_from,
 )
 from assets.webserver.report import REPORT_PATH
-from resources.failures import clear_failures
 from resources.store import RunStore
 
 if TYPE_CHECKING:
@@ -67,37 +66,36 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
     from oracle_pipeline.scoring.kept_verdicts import kept_verdicts
     from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
-    with clear_failures():
-        evaluation = Report.load(store.results("oracle_evaluation"))
-        testbed = testbed_of(evaluation.tables["runs"]["mode"].iloc[0])
-        df = run_table(store, testbed)
-        measured = MeasuredRuns.ordered(df, windows_of(store, df))
-        deviations = deviations_of_runs(df)
-        rows, rate, seed, _ = bootstrap_settings(store)
-        page = html.render(
-            evaluation=evaluation,
-            record=partial(record_command, testbed=testbed),
-            grid=Report.load(store.results("clustering_grid_search")),
-            rates=Report.load(store.results("malicious_rate_report")),
-            pairs=Report.load(store.results("pairwise_report")),
-            side_by_side=thesis_reports.side_by_side(runs_drawn_from(store), rows, rate, seed),
-            storage=_storage(store),
-            arrived=summary(arrived) if (arrived := kept_verdicts(store.path)) else "",
-            searched=searched(store.path),
-            provenance=html.provenance(df),
-        )
-        html.write_page(page, store.report)
-        shown = ShownRuns(
-            measured=measured,
-            evaluation=evaluation,
-            deviations=deviations,
-            path=lambda run: store.run(run).path,
-            film=FILM,
-            manifest=lambda run: store.run(run).manifest(),
-            picture=lambda run: kept_picture(store.run(run).path),
-        )
-        with published(store.run_pages, last="index.html") as folder:
-            pages = write_run_pages(shown, folder)
+    evaluation = Report.load(store.results("oracle_evaluation"))
+    testbed = testbed_of(evaluation.tables["runs"]["mode"].iloc[0])
+    df = run_table(store, testbed)
+    measured = MeasuredRuns.ordered(df, windows_of(store, df))
+    deviations = deviations_of_runs(df)
+    rows, rate, seed, _ = bootstrap_settings(store)
+    page = html.render(
+        evaluation=evaluation,
+        record=partial(record_command, testbed=testbed),
+        grid=Report.load(store.results("clustering_grid_search")),
+        rates=Report.load(store.results("malicious_rate_report")),
+        pairs=Report.load(store.results("pairwise_report")),
+        side_by_side=thesis_reports.side_by_side(runs_drawn_from(store), rows, rate, seed),
+        storage=_storage(store),
+        arrived=summary(arrived) if (arrived := kept_verdicts(store.path)) else "",
+        searched=searched(store.path),
+        provenance=html.provenance(df),
+    )
+    html.write_page(page, store.report)
+    shown = ShownRuns(
+        measured=measured,
+        evaluation=evaluation,
+        deviations=deviations,
+        path=lambda run: store.run(run).path,
+        film=FILM,
+        manifest=lambda run: store.run(run).manifest(),
+        picture=lambda run: kept_picture(store.run(run).path),
+    )
+    with published(store.run_pages, last="index.html") as folder:
+        pages = write_run_pages(shown, folder)
     context.log.info(
         f"Report on {len(df)} runs, and a page for each of {pages}: {store.report}. The UI of "
         f"`make ui` shows it at {REPORT_PATH}/."

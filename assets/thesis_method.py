@@ -12,7 +12,6 @@ from pydantic import Field
 from assets.aggregates import TestbedConfig, aggregate, keep, run_table
 from assets.feature_dataset import feature_dataset
 from assets.partitions import testbed_of
-from resources.failures import clear_failures
 from resources.store import RunStore
 
 if TYPE_CHECKING:
@@ -56,15 +55,14 @@ def bootstrapped_dataset(config: BootstrapConfig, store: RunStore) -> dg.Materia
     """
     from oracle_pipeline.reporting import thesis_reports
 
-    with clear_failures():
-        result = thesis_reports.bootstrapped_dataset(
-            _experiments(run_table(store, config.testbed)),
-            config.rows,
-            config.malicious_rate,
-            config.seed,
-            config.variant,
-        )
-        return keep(result, store, ROWS)
+    result = thesis_reports.bootstrapped_dataset(
+        _experiments(run_table(store, config.testbed)),
+        config.rows,
+        config.malicious_rate,
+        config.seed,
+        config.variant,
+    )
+    return keep(result, store, ROWS)
 
 
 @aggregate("thesis_method", "scipy", "scikitlearn", deps=[bootstrapped_dataset])
@@ -78,12 +76,11 @@ def clustering_grid_search(config: GridConfig, store: RunStore) -> dg.Materializ
     from oracle_pipeline.reporting import thesis_reports
     from oracle_pipeline.reporting.stored_report import Report
 
-    with clear_failures():
-        dataset = Report.load(store.results(ROWS))
-        result = thesis_reports.clustering_grid_search(
-            dataset.table, _variant(dataset), config.thresholds
-        )
-        return keep(result, store, "clustering_grid_search")
+    dataset = Report.load(store.results(ROWS))
+    result = thesis_reports.clustering_grid_search(
+        dataset.table, _variant(dataset), config.thresholds
+    )
+    return keep(result, store, "clustering_grid_search")
 
 
 @aggregate("thesis_method", "scipy", "scikitlearn", deps=[feature_dataset, bootstrapped_dataset])
@@ -94,10 +91,9 @@ def malicious_rate_report(store: RunStore) -> dg.MaterializeResult[None]:
     """
     from oracle_pipeline.reporting import thesis_reports
 
-    with clear_failures():
-        rows, _, seed, variant = bootstrap_settings(store)
-        result = thesis_reports.malicious_rate_report(runs_drawn_from(store), rows, seed, variant)
-        return keep(result, store, "malicious_rate_report")
+    rows, _, seed, variant = bootstrap_settings(store)
+    result = thesis_reports.malicious_rate_report(runs_drawn_from(store), rows, seed, variant)
+    return keep(result, store, "malicious_rate_report")
 
 
 @aggregate("thesis_method", "scipy", "scikitlearn", deps=[feature_dataset, bootstrapped_dataset])
@@ -108,9 +104,8 @@ def pairwise_report(store: RunStore) -> dg.MaterializeResult[None]:
     """
     from oracle_pipeline.reporting import thesis_reports
 
-    with clear_failures():
-        result = thesis_reports.pairwise_report(runs_drawn_from(store), *bootstrap_settings(store))
-        return keep(result, store, "pairwise_report")
+    result = thesis_reports.pairwise_report(runs_drawn_from(store), *bootstrap_settings(store))
+    return keep(result, store, "pairwise_report")
 
 
 def runs_drawn_from(store: RunStore) -> "pd.DataFrame":

@@ -1,6 +1,7 @@
 """``oracle-sim search``: search for attacks that the oracle misses."""
 
 from collections.abc import Iterator
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,6 @@ from sim.commands.batch import (
 
 if TYPE_CHECKING:
     from assets.search.closed_loop import Finding
-    from assets.search.search import Sampler
 
 
 @click.command()
@@ -80,22 +80,7 @@ if TYPE_CHECKING:
 @campaign_options
 @workers_option
 def search(
-    template: str | None,
-    card: Path,
-    topics: tuple[str, ...],
-    operators: tuple[str, ...],
-    budget: str,
-    ranges: tuple[str, ...],
-    blocks: int,
-    time_limit: float,
-    far: float,
-    sampler: "Sampler",
-    screen: bool,
-    out: Path,
-    corpus: Path | None,
-    allow_actuation: bool,
-    workers: int,
-    **options: Any,
+    template: str | None, budget: str, out: Path, corpus: Path | None, workers: int, **options: Any
 ) -> None:
     """Search for attacks that the oracle misses.
 
@@ -120,21 +105,18 @@ def search(
     from assets.search.outcome import MISSES, PICTURE, save
     from assets.search.search import CONTROLS, Search, SearchSettings, TrialBudget, attacks
 
-    if (template is None) == (not topics):
+    if (template is None) == (not options["topics"]):
         raise click.UsageError("Give either a TEMPLATE or --topic to vary.")
     with short_errors():
         limit, of_runs, controls = TrialBudget.parse(budget), campaign(options), out / CONTROLS
-        settings = SearchSettings(
-            card, of_runs, sampler=sampler, blocks=blocks,
-            goals=of_runs.goals_per_run, time_limit=time_limit, far=far, screen=screen,
-            allow_actuation=allow_actuation, ranges=ranges, topics=topics, operators=operators,
-        )  # fmt: skip
+        names = {item.name for item in fields(SearchSettings)} - {"campaign"}
+        settings = SearchSettings(campaign=of_runs, **{name: options[name] for name in names})
         space = attacks(template, controls, settings)
         click.echo(f"Varying {space.text}.")
         search = Search(out, space, settings, controls, of_runs.seed)
         _follow(search.run(limit, workers, partial(click.echo, err=True)))
         findings = search.findings
-        files = save(out, findings, search.front, far, corpus or out / MISSES)
+        files = save(out, findings, search.front, settings.far, corpus or out / MISSES)
     click.echo(
         f"{len(findings)} trials, {sum(f.screened_out for f in findings)} of them detected before "
         f"they were run. {len(files)} had an effect and were missed."

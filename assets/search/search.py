@@ -210,17 +210,15 @@ class Search:
                 self._study.tell(trial, state=optuna.trial.TrialState.FAIL)
                 failed(f"trial {trial.number}: {error}")
             else:
-                yield self._learn(trial, future.result())
+                finding = future.result()
+                trial.set_user_attr(_FINDING, dataclasses.asdict(finding))
+                self._study.tell(trial, evasion(finding))
+                yield finding
 
     def _proposal(self, trial: optuna.Trial) -> Proposal:
         attack = self._space.suggest(trial)
         block = trial.number % self._settings.blocks
         return Proposal(trial.number, block, attack.document, attack.values)
-
-    def _learn(self, trial: optuna.Trial, finding: Finding) -> Finding:
-        trial.set_user_attr(_FINDING, dataclasses.asdict(finding))
-        self._study.tell(trial, evasion(finding))
-        return finding
 
 
 def evasion(finding: Finding) -> tuple[float, float]:

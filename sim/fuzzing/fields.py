@@ -111,11 +111,7 @@ def as_sent(kind: Type) -> Callable[[Any], Any]:
     In the process that makes it, a message may have float64 where its type has float32, but a
     reader of a bag gets float32. If nothing is rounded, the same object is returned.
     """
-    return _rounding(kind) or _same
-
-
-def _same(value: Any) -> Any:
-    return value
+    return _rounding(kind) or (lambda message: message)
 
 
 def _rounding(kind: Type) -> Callable[[Any], Any] | None:

@@ -48,7 +48,9 @@ class SystemChanges:
 
     def __init__(self, domain: Domain, execution: Execution) -> None:
         self._executor = domain.executor
-        self._changes = [*_parameters(domain, execution), *_offers(domain, execution)]
+        altered = execution.program.scenario.altered.values()
+        offers = (_offer(domain, spec["input"], spec["qos"]) for spec in altered if "qos" in spec)
+        self._changes = [*_parameters(domain, execution), *offers]
         if execution.program.scenario.control in _SILENT:
             self._changes.clear()
         self._are_applied = False
@@ -111,12 +113,6 @@ def _setting(parameter: NodeParameter, value: float) -> _Change:
     return _Change(
         parameter.events.topic, SET_PARAMETERS, apply, lambda: parameter.set(before.pop())
     )
-
-
-def _offers(domain: Domain, execution: Execution) -> Iterator[_Change]:
-    for spec in execution.program.scenario.altered.values():
-        if "qos" in spec:
-            yield _offer(domain, spec["input"], spec["qos"])
 
 
 def _offer(domain: Domain, topic: str, wanted: dict[str, str]) -> _Change:

@@ -35,6 +35,7 @@ SOURCE_TIMEOUT_NS = 5 * SECOND
 STOP_PUB_TIMEOUT_NS = 2 * SECOND
 _RANGE_STEP_RAD = math.radians(1.0)
 _SPARE_M = 1e-6  # margin around a polygon's box for rounding errors
+_Four = tuple[float, float, float, float]
 _NO_POINTS: Points = np.empty((0, 2))
 
 
@@ -210,7 +211,7 @@ class CollisionMonitor(LifecycleNode):
         except TransformError:
             return _NO_POINTS
         pose = (odom.x, odom.y, math.cos(odom.yaw), math.sin(odom.yaw))
-        return _nearby(seen, *pose, *self._box)
+        return _nearby(seen, pose, self._box)
 
     def _judge(
         self, command: tuple[float, float], points: Points
@@ -263,7 +264,7 @@ def _arc(field_of_view: float) -> Points:
 _POINTS_OF = {"sensor_msgs/msg/LaserScan": scan_points, "sensor_msgs/msg/Range": range_points}
 
 
-def _box(polygons: Sequence[Polygon]) -> tuple[float, float, float, float]:
+def _box(polygons: Sequence[Polygon]) -> _Four:
     """Return left, bottom, right and top of a box around polygons [m]."""
     vertices = np.concatenate([polygon.vertices for polygon in polygons])
     left, bottom = (vertices.min(axis=0) - _SPARE_M).tolist()
@@ -272,18 +273,9 @@ def _box(polygons: Sequence[Polygon]) -> tuple[float, float, float, float]:
 
 
 @jit
-def _nearby(
-    parts: tuple[Points, ...],
-    x: float,
-    y: float,
-    c: float,
-    s: float,
-    left: float,
-    bottom: float,
-    right: float,
-    top: float,
-) -> Points:
+def _nearby(parts: tuple[Points, ...], pose: _Four, box: _Four) -> Points:
     """Move points as `Pose2D.apply` does, and return those inside a box, shape (n, 2) [m]."""
+    (x, y, c, s), (left, bottom, right, top) = pose, box
     most = 0
     for points in parts:
         most += len(points)

@@ -13,7 +13,7 @@ from oracle_pipeline.bags.jit import jit
 from sim.middleware.geometry import Planar, Pose2D, composed, inverted, wrap_angle
 from sim.nav2.costmap import CostGrid
 from sim.nav2.dwb_critics import Critics, map_plan, search
-from sim.nav2.dwb_sampling import Parameters
+from sim.nav2.dwb_sampling import Parameters, Start
 from sim.nav2.paths import Poses
 
 _FASTEST = 100.0  # [m/s, rad/s]
@@ -96,7 +96,7 @@ class LocalPlanner:
             near = self.followed(pose, grid, from_plan)
             return Cycle(None, near, near[:0])
         begin, near, forward, turning, rollout, critics = _choose(
-            self._limited, grid, self.plan, (pose.x, pose.y, pose.yaw), velocity,
+            Start(self._limited, (pose.x, pose.y, pose.yaw), velocity), grid, self.plan,
             (from_plan.x, from_plan.y, from_plan.yaw),
             self._near_goal, self._rotating, self._turns.only,
         )  # fmt: skip
@@ -150,11 +150,9 @@ class _Trend:
 
 @jit
 def _choose(
-    parameters: Parameters,
+    start: Start,
     grid: CostGrid,
     plan: Poses,
-    pose: Planar,
-    velocity: tuple[float, float],
     from_plan: Planar,
     near_goal: bool,
     rotating: bool,
@@ -165,28 +163,25 @@ def _choose(
     ``near_goal`` and ``rotating`` are how the robot was in the cycle before, and ``turn`` is the
     side to which it may turn; the others are those of `LocalPlanner.compute`.
     """
-    begin, near = _followed(parameters, grid, plan, pose, from_plan)
-    critics = _critics(
-        parameters, grid, near, composed(from_plan, plan[-1]), pose, velocity,
-        near_goal, rotating, turn,
-    )  # fmt: skip
-    forward, turning, rollout = search(parameters, grid, pose, velocity, critics)
+    begin, near = _followed(start.parameters, grid, plan, start.pose, from_plan)
+    goal = composed(from_plan, plan[-1])
+    critics = _critics(start, grid, near, goal, near_goal, rotating, turn)
+    forward, turning, rollout = search(start, grid, critics)
     return begin, near, forward, turning, rollout, critics
 
 
 @jit
 def _critics(
-    parameters: Parameters,
+    start: Start,
     grid: CostGrid,
     near: Poses,
     goal: Planar,
-    pose: Planar,
-    velocity: tuple[float, float],
     near_goal: bool,
     rotating: bool,
     turn: int,
 ) -> Critics:
     """Return what the critics need to know; ``near`` is the plan's part near the robot."""
+    parameters, pose, velocity = start
     distance = math.hypot(pose[0] - goal[0], pose[1] - goal[1])
     speed_squared = velocity[0] ** 2
     near_goal = near_goal or distance <= parameters.xy_goal_tolerance

@@ -14,6 +14,7 @@ from sim.arrays import Floats
 from sim.nav2.costmap import CostGrid
 from sim.nav2.dwb_sampling import (
     Parameters,
+    Start,
     ends,
     headings,
     last_yaw,
@@ -177,13 +178,7 @@ def _is_at_border(along: float) -> bool:
 
 
 @jit
-def search(
-    parameters: Parameters,
-    grid: CostGrid,
-    pose: tuple[float, float, float],
-    velocity: tuple[float, float],
-    critics: Critics,
-) -> tuple[float, float, Poses]:
+def search(start: Start, grid: CostGrid, critics: Critics) -> tuple[float, float, Poses]:
     """Return the legal twist with the lowest score, the first of equals, and its rollout.
 
     The twist is NaN, and the rollout empty, if there is none.
@@ -192,17 +187,18 @@ def search(
     collision test needs the steps. It is made for the trajectory with the lowest score, then for
     the next, until one is legal.
     """
+    parameters, _, velocity = start
     forward, turning = twists(parameters, velocity)
     rollout = np.empty((most_poses(parameters, forward, turning), 3))
     if critics.goal_x < 0:
         return math.nan, math.nan, rollout[:0]
-    totals = _totals(parameters, grid, pose, velocity, critics, forward, turning, rollout)
+    totals = _totals(start, grid, critics, forward, turning, rollout)
     while True:
         index = int(np.argmin(totals))
         if totals[index] == math.inf:
             return math.nan, math.nan, rollout[:0]
         v, w = forward[index // len(turning)], turning[index % len(turning)]
-        length = roll(parameters, pose, velocity, (v, w), rollout)
+        length = roll(start, (v, w), rollout)
         if obstacle_cost(grid, rollout[:length]) >= 0:
             return v, w, rollout[:length]
         totals[index] = math.inf
@@ -210,26 +206,19 @@ def search(
 
 @jit_unchecked
 def _totals(
-    parameters: Parameters,
-    grid: CostGrid,
-    pose: tuple[float, float, float],
-    velocity: tuple[float, float],
-    critics: Critics,
-    forward: Floats,
-    turning: Floats,
-    rollout: Poses,
+    start: Start, grid: CostGrid, critics: Critics, forward: Floats, turning: Floats, rollout: Poses
 ) -> Floats:
     """Return the score of each twist, infinite where the end of its rollout is illegal.
 
     Forward speeds by turning speeds, in one row. ``rollout`` is a work array.
     """
+    parameters = start.parameters
     totals = np.full((len(forward), len(turning)), math.inf)
     forward = forward[: _slow_enough(critics, forward)]
     at_least = np.empty(len(forward), np.int64)  # steps, for the forward speed alone
     for i in range(len(forward)):
         at_least[i] = step_count(parameters, (forward[i], 0.0))
     way, points = np.empty((len(rollout) - 1, 4)), np.empty((len(forward), 4))
-    direction = (math.cos(pose[2]), math.sin(pose[2]))
     nose = parameters.forward_point_distance
     near, yaw = critics.slowing or critics.rotating, 0.0
     for j in range(len(turning)):
@@ -243,11 +232,11 @@ def _totals(
             while last < len(forward) and max(steps, at_least[last]) == count:
                 last += 1
             v = forward[first:last]
-            x, y = headings(parameters, direction, velocity[1], w, count, way)
-            ends(parameters, pose[:2], velocity[0], v, count, way, (nose * x, nose * y), points)
-            _take_to_cells(parameters, grid, pose, velocity, v, w, points, rollout)
+            x, y = headings(start, w, count, way)
+            ends(start, v, count, way, (nose * x, nose * y), points)
+            _take_to_cells(start, grid, v, w, points, rollout)
             if near:
-                yaw = last_yaw(parameters, pose[2], velocity[1], w, count)
+                yaw = last_yaw(start, w, count)
             _score(parameters, grid, critics, v, w, yaw, points, totals[first:last, j])
     return totals.ravel()
 
@@ -264,14 +253,7 @@ def _slow_enough(critics: Critics, forward: Floats) -> int:
 
 @jit_unchecked
 def _take_to_cells(
-    parameters: Parameters,
-    grid: CostGrid,
-    pose: tuple[float, float, float],
-    velocity: tuple[float, float],
-    forward: Floats,
-    w: float,
-    points: Floats,
-    rollout: Poses,
+    start: Start, grid: CostGrid, forward: Floats, w: float, points: Floats, rollout: Poses
 ) -> None:
     """Turn metres into cells; roll out where rounding could put a point into another cell."""
     origin_x, origin_y, per_metre = grid.origin_x, grid.origin_y, 1.0 / grid.resolution
@@ -285,8 +267,8 @@ def _take_to_cells(
             or _is_at_border(left_ahead)
             or _is_at_border(low_ahead)
         ):
-            end = rollout[roll(parameters, pose, velocity, (forward[i], w), rollout) - 1]
-            nose_x, nose_y = nose(parameters, end[2])
+            end = rollout[roll(start, (forward[i], w), rollout) - 1]
+            nose_x, nose_y = nose(start.parameters, end[2])
             cells = _cells_of(grid)
             left, low = _in_cells(cells, end[0], end[1])
             left_ahead, low_ahead = _in_cells(cells, end[0] + nose_x, end[1] + nose_y)

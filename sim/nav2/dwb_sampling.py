@@ -10,6 +10,7 @@ import numpy as np
 
 from oracle_pipeline.bags.jit import jit, jit_unchecked
 from sim.arrays import Floats
+from sim.middleware.geometry import Planar
 from sim.nav2.paths import Poses
 
 _EPSILON = 1e-5
@@ -45,6 +46,14 @@ class Parameters(NamedTuple):
     path_align_scale: float = 32.0
     path_dist_scale: float = 32.0
     goal_dist_scale: float = 24.0
+
+
+class Start(NamedTuple):
+    """What a rollout begins with."""
+
+    parameters: Parameters
+    pose: Planar
+    velocity: tuple[float, float]  # forward [m/s], turning [rad/s]
 
 
 @jit
@@ -120,19 +129,12 @@ def most_poses(parameters: Parameters, forward: Floats, turning: Floats) -> int:
 
 
 @jit
-def roll(
-    parameters: Parameters,
-    pose: tuple[float, float, float],
-    velocity: tuple[float, float],
-    twist: tuple[float, float],
-    rollout: Poses,
-) -> int:
-    """Drive from ``pose`` towards ``twist`` for ``sim_time``; return how many poses were written.
+def roll(start: Start, twist: tuple[float, float], rollout: Poses) -> int:
+    """Drive from ``start`` towards ``twist`` for ``sim_time``; return how many poses were written.
 
     The first is where the robot is, the last one is written twice (``include_last_point``).
     """
-    x, y, yaw = pose
-    v, w = velocity
+    parameters, (x, y, yaw), (v, w) = start
     steps = step_count(parameters, twist)
     dt = parameters.sim_time / steps
     heading_x, heading_y = math.cos(yaw), math.sin(yaw)
@@ -156,14 +158,7 @@ def roll(
 
 
 @jit
-def headings(
-    parameters: Parameters,
-    direction: tuple[float, float],
-    turning: float,
-    target: float,
-    count: int,
-    way: Floats,
-) -> tuple[float, float]:
+def headings(start: Start, target: float, count: int, way: Floats) -> tuple[float, float]:
     """Return the direction at the end of a rollout, and fill in where its steps lead.
 
     The directions are those of ``roll`` up to rounding; in as many steps, every forward speed has
@@ -171,12 +166,8 @@ def headings(
 
     Parameters
     ----------
-    parameters
-        Acceleration and time of the rollout.
-    direction
-        Unit vector of the robot's yaw.
-    turning
-        Of the robot [rad/s].
+    start
+        Robot and parameters.
     target
         Turning speed that is rolled out [rad/s].
     count
@@ -185,12 +176,13 @@ def headings(
         Shape (more than ``count``, 4); row i gets where the first i steps lead, if their lengths
         are all 1, and if they are 1, 2, 3 and so on.
     """
+    parameters, (_, _, yaw), (_, turning) = start
     w, dt = turning, parameters.sim_time / count
     rise, fall = parameters.acc_lim_theta * dt, parameters.decel_lim_theta * dt
     change = (rise if turning < target else fall) * dt  # from one step's angle to the next
     change_x, change_y = math.cos(change), math.sin(change)
     turn_x, turn_y = math.cos(turning * dt), math.sin(turning * dt)
-    x, y = direction
+    x, y = math.cos(yaw), math.sin(yaw)
     way[0] = 0.0
     for i in range(count):
         way[i + 1, 0], way[i + 1, 1] = way[i, 0] + x, way[i, 1] + y
@@ -209,9 +201,7 @@ def headings(
 
 @jit_unchecked
 def ends(
-    parameters: Parameters,
-    place: tuple[float, float],
-    forward: float,
+    start: Start,
     targets: Floats,
     count: int,
     way: Floats,
@@ -224,10 +214,8 @@ def ends(
 
     Parameters
     ----------
-    parameters, count, way
+    start, count, way
         As for ``headings``, which has filled ``way`` in.
-    place, forward
-        Of the robot [m], [m/s].
     targets
         Forward speeds that are rolled out, shape (n,) [m/s].
     ahead
@@ -235,6 +223,7 @@ def ends(
     points
         Shape (n, 4); gets x and y of the end and of that point [m].
     """
+    parameters, place, (forward, _) = start
     dt = parameters.sim_time / count
     rise, fall = parameters.acc_lim_x * dt, parameters.decel_lim_x * dt
     end_x, end_y = way[count, 0], way[count, 1]
@@ -250,10 +239,9 @@ def ends(
 
 
 @jit
-def last_yaw(
-    parameters: Parameters, yaw: float, turning: float, target: float, count: int
-) -> float:
+def last_yaw(start: Start, target: float, count: int) -> float:
     """Return the yaw at the end of a rollout, that of ``roll`` to the last bit [rad]."""
+    parameters, (_, _, yaw), (_, turning) = start
     w, dt = turning, parameters.sim_time / count
     for _ in range(count):
         w = _approach(w, target, parameters.acc_lim_theta * dt, parameters.decel_lim_theta * dt)

@@ -29,7 +29,7 @@ def scan_points(scan: Any, sensor: Pose2D) -> Floats:
         [m].
     """
     pose = (sensor.x, sensor.y, math.cos(sensor.yaw), math.sin(sensor.yaw))
-    return _projected(scan.ranges, beam_bearings(scan), scan.range_min, scan.range_max, *pose)
+    return _projected(scan.ranges, beam_bearings(scan), scan.range_min, scan.range_max, pose)
 
 
 def beam_bearings(scan: Any) -> Floats:
@@ -43,11 +43,9 @@ def _projected(
     bearings: Floats,
     range_min: float,
     range_max: float,
-    sensor_x: float,
-    sensor_y: float,
-    c: float,
-    s: float,
+    pose: tuple[float, float, float, float],
 ) -> Floats:
+    sensor_x, sensor_y, c, s = pose
     points = np.empty(bearings.shape)
     count = 0
     for i in range(len(ranges)):

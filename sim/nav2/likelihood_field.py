@@ -61,20 +61,15 @@ class LikelihoodField:
             One plus the sum over the beams of p cubed, p being the probability density of a hit
             at that distance from the nearest obstacle plus that of a random reading.
         """
-        return _weigh(poses, points, self._hit, Z_RAND / range_max, *self._place)
+        return _weigh(poses, points, self._hit, Z_RAND / range_max, self._place)
 
 
 @jit
 def _weigh(
-    poses: Floats,
-    points: Floats,
-    hit: Floats,
-    random: float,
-    resolution: float,
-    origin_x: float,
-    origin_y: float,
+    poses: Floats, points: Floats, hit: Floats, random: float, place: tuple[float, float, float]
 ) -> Floats:
     """Weigh by one beam after the other, as processors find the cells of several poses at once."""
+    resolution, origin_x, origin_y = place
     height, width = hit.shape
     hit_at, cells = hit.ravel(), np.empty(len(poses), np.int32)
     c, s = np.cos(poses[:, 2]) / resolution, np.sin(poses[:, 2]) / resolution

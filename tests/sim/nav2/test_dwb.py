@@ -13,7 +13,7 @@ from sim.nav2 import dwb, dwb_critics, dwb_sampling
 from sim.nav2.costmap import CostGrid
 from sim.nav2.dwb import LocalPlanner
 from sim.nav2.dwb_critics import Critics
-from sim.nav2.dwb_sampling import Parameters
+from sim.nav2.dwb_sampling import Parameters, Start
 
 STOCK = Parameters(sim_time=1.7)  # the figures of the stock rollout are known
 CELLS, RESOLUTION = 60, 0.05
@@ -58,7 +58,9 @@ def test_samples_stay_within_what_can_be_reached():
 @given(v=st.floats(0.0, 0.26), w=st.floats(-1.0, 1.0))
 def test_a_rollout_has_3_to_70_poses_and_its_last_one_twice(v, w):
     rollout = np.empty((dwb_sampling.step_count(STOCK, (v, w)) + 2, 3))
-    assert dwb_sampling.roll(STOCK, (0.0, 0.0, 0.0), (0.0, 0.0), (v, w), rollout) == len(rollout)
+    assert dwb_sampling.roll(Start(STOCK, (0.0, 0.0, 0.0), (0.0, 0.0)), (v, w), rollout) == len(
+        rollout
+    )
     assert 3 <= len(rollout) <= 70
     assert rollout[0] == pytest.approx([0.0, 0.0, 0.0])
     assert np.array_equal(rollout[-1], rollout[-2])
@@ -66,7 +68,7 @@ def test_a_rollout_has_3_to_70_poses_and_its_last_one_twice(v, w):
 
 def test_a_rollout_at_cruise_is_straight_and_1_7_seconds_long():
     rollout = np.empty((dwb_sampling.step_count(STOCK, (0.26, 0.0)) + 2, 3))
-    dwb_sampling.roll(STOCK, (1.0, 2.0, math.pi / 2), (0.26, 0.0), (0.26, 0.0), rollout)
+    dwb_sampling.roll(Start(STOCK, (1.0, 2.0, math.pi / 2), (0.26, 0.0)), (0.26, 0.0), rollout)
     assert len(rollout) == 11  # 0.442 m in steps of at most 0.05 m
     assert rollout[-1] == pytest.approx([1.0, 2.442, math.pi / 2])
 
@@ -74,7 +76,7 @@ def test_a_rollout_at_cruise_is_straight_and_1_7_seconds_long():
 def test_a_rollout_from_standstill_accelerates_first():
     steps = dwb_sampling.step_count(STOCK, (0.26, 0.0))
     rollout = np.empty((steps + 2, 3))
-    dwb_sampling.roll(STOCK, (0.0, 0.0, 0.0), (0.0, 0.0), (0.26, 0.0), rollout)
+    dwb_sampling.roll(Start(STOCK, (0.0, 0.0, 0.0), (0.0, 0.0)), (0.26, 0.0), rollout)
     dt = 1.7 / steps  # 0.189 s: 2.5 m/s^2 reach full speed within the first step
     assert np.diff(rollout[:, 0])[:-1] == pytest.approx(np.full(steps, 0.26 * dt))
 
@@ -82,7 +84,7 @@ def test_a_rollout_from_standstill_accelerates_first():
 @given(w=st.floats(0.05, 1.0), yaw=st.floats(-3.0, 3.0))
 def test_the_stepwise_heading_is_that_of_the_exact_angle(w, yaw):
     rollout = np.empty((dwb_sampling.step_count(STOCK, (0.26, w)) + 2, 3))
-    dwb_sampling.roll(STOCK, (0.0, 0.0, yaw), (0.0, 0.0), (0.26, w), rollout)
+    dwb_sampling.roll(Start(STOCK, (0.0, 0.0, yaw), (0.0, 0.0)), (0.26, w), rollout)
     chords = np.diff(rollout[:-1, :2], axis=0)
     headings = np.arctan2(chords[:, 1], chords[:, 0])
     assert np.exp(1j * headings) == pytest.approx(np.exp(1j * rollout[:-2, 2]))
@@ -342,7 +344,7 @@ def tried_one_by_one(p, grid, pose, velocity, critics):
             too_fast |= critics.slowing and v * v >= critics.speed_squared
             if too_fast or (v == w == 0.0) or critics.turn * w < 0.0:
                 continue
-            poses = rollout[: dwb_sampling.roll(p, pose, velocity, (v, w), rollout)]
+            poses = rollout[: dwb_sampling.roll(Start(p, pose, velocity), (v, w), rollout)]
             cost = dwb_critics.obstacle_cost(grid, poses)
             cells = map_cells(p, grid, critics, poses[-1])
             if cells is None:
@@ -380,10 +382,11 @@ def test_the_search_finds_what_rolling_out_every_twist_finds(seed, pose, velocit
         bool(rng.integers(2)), near == "slowing", near == "rotating", velocity[0] ** 2, turn,
     )  # fmt: skip
     scoring = (Parameters(), CostGrid(costs, 0.05, -1.5, -1.5), pose, velocity, critics)
-    *twist, rollout = dwb_critics.search(*scoring)
+    start = Start(Parameters(), pose, velocity)
+    *twist, rollout = dwb_critics.search(start, scoring[1], critics)
     assert tuple(twist) == pytest.approx(tried_one_by_one(*scoring), rel=0.0, abs=0.0, nan_ok=True)
     expected = np.empty((0, 3))
     if not math.isnan(twist[0]):
         expected = np.empty((dwb_sampling.step_count(Parameters(), tuple(twist)) + 2, 3))
-        dwb_sampling.roll(Parameters(), pose, velocity, tuple(twist), expected)
+        dwb_sampling.roll(start, tuple(twist), expected)
     np.testing.assert_array_equal(rollout, expected)
