@@ -171,7 +171,8 @@ def recorded_runs(
         for outcome in _outcomes(jobs, store, fleet, budget):
             run = outcome.job.directory
             if outcome.result is not None and not outcome.job.wanted:
-                context.log_event(_shrunk(run.key, outcome.result))  # it only gave up storage
+                freed = {"kept": outcome.result.kept, "freed_bytes": outcome.result.freed_bytes}
+                context.log_event(dg.AssetObservation("bags", partition=run.key, metadata=freed))
                 continue
             partition = of_run.get(run)
             if outcome.result is None:
@@ -256,12 +257,6 @@ def _materialized(
         # An asset has one version for the runs of all testbeds, a run that of its own testbed.
         code = str(spec.code_version) if made.code in _CURRENT else made.code
         yield Materialized(spec, made.version, code, figures)
-
-
-def _shrunk(key: str, report: "RunReport") -> dg.AssetObservation:
-    return dg.AssetObservation(
-        "bags", partition=key, metadata={"kept": report.kept, "freed_bytes": report.freed_bytes}
-    )
 
 
 def _reproducible(

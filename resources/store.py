@@ -9,7 +9,7 @@ from pydantic import Field
 
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.protocol import runs_named
-from oracle_pipeline.bags.run_directory import RunDirectory, find_runs
+from oracle_pipeline.bags.run_directory import RunDirectory
 
 
 class RunStore(dg.ConfigurableResource[None]):
@@ -70,10 +70,6 @@ class RunStore(dg.ConfigurableResource[None]):
         """Return the directories of the runs of a partition, by its key."""
         mode, name = partition.split("|")
         return [RunDirectory(self.path, mode, run) for run in runs_named(name) or ()]
-
-    def complete_runs(self) -> list[RunDirectory]:
-        """Return the existing runs, sorted by mode and number."""
-        return find_runs(self.path)
 
     def dataset(self, name: str) -> Path:
         """Return the path of a table over many runs."""

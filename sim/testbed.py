@@ -42,11 +42,6 @@ class Mode:
         """Label of its runs."""
         return self.scenario.label
 
-    @property
-    def title(self) -> str:
-        """Its purpose, in one line."""
-        return self.scenario.title
-
     def noise(self, campaign: Campaign) -> str:
         """Return the branch from which its runs draw sensor noise and latencies.
 

@@ -161,21 +161,19 @@ class ClosedLoop:
             if self.screens and not mode.scenario.needs_simulator:
                 altered = Job(mode, Path(folder, "altered"), proposal.run, proposal.block)
                 manifest = derive_mutant(self._control(proposal).path.parent, False, altered)
-                judged = self._judge(altered.directory)
+                judged = _judged(altered.directory, self.card, self.far)
                 if not self._passes(judged.verdict, proposal):
                     return self._finding(proposal, manifest, judged, ran=False)
             run = Job(mode, Path(folder, "closed_loop"), proposal.run, proposal.block)
             manifest = record_job(self.campaign, False, run)
-            return self._finding(proposal, manifest, self._judge(run.directory), ran=True)
+            judged = _judged(run.directory, self.card, self.far)
+            return self._finding(proposal, manifest, judged, ran=True)
 
     def _control(self, proposal: Proposal) -> RunDirectory:
         return RunDirectory(self.controls, CONTROL, proposal.block)
 
     def _judged_control(self, proposal: Proposal) -> "_JudgedRecording":
         return _judged_once(self._control(proposal), self.card, self.far)
-
-    def _judge(self, directory: RunDirectory) -> "_JudgedRecording":
-        return _judged(directory, self.card, self.far)
 
     def _passes(self, verdict: Verdict, proposal: Proposal) -> bool:
         held = against(verdict, self.far)

@@ -31,6 +31,8 @@ _LONGEST_LEAD_M = 5_000.0  # earliest start of a turn before a fix
 _X, _Y, _Z, _VX, _VY, _VZ, _AIRSPEED, _HEADING = range(8)
 
 
+Wind = tuple[float, float]  # velocity of the air, east and north [m/s]
+
 _wrap = jit(wrap_angle)
 
 
@@ -77,7 +79,7 @@ class AirSpace:
         Velocity of the air, east and north [m/s].
     """
 
-    def __init__(self, flights: Sequence[Flight], wind: tuple[float, float]) -> None:
+    def __init__(self, flights: Sequence[Flight], wind: Wind) -> None:
         self._wind = wind
         self._last = np.array([len(flight.route) - 1 for flight in flights])
         self._routes = np.zeros((len(flights), max(self._last, default=0) + 1, 4))
@@ -104,7 +106,7 @@ class AirSpace:
                 self._last,
                 self._start_s,
                 self._stepped_ns / SECOND,
-                *self._wind,
+                self._wind,
             )
 
     def state(self, flight: int) -> AircraftState | None:
@@ -130,17 +132,10 @@ class AirSpace:
 
 @jit
 def _step(
-    states: Floats,
-    leg: Ints,
-    routes: Floats,
-    last: Ints,
-    start_s: Floats,
-    now_s: float,
-    wind_x: float,
-    wind_y: float,
+    states: Floats, leg: Ints, routes: Floats, last: Ints, start_s: Floats, now_s: float, wind: Wind
 ) -> None:
     """Advance every flight by one step, to ``now_s``."""
-    dt = STEP_NS / SECOND
+    dt, (wind_x, wind_y) = STEP_NS / SECOND, wind
     for i in range(len(states)):
         state = states[i]
         if leg[i] == 0:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sim.arrays import Floats
 from sim.campaigns import OdometrySource
 from sim.middleware import qos
 from sim.middleware.domain import Domain
@@ -18,7 +17,7 @@ from sim.turtlebot3 import frames
 from sim.turtlebot3.clock import Gazebo
 from sim.turtlebot3.drive import DiffDrivePlugin, JointStatePlugin
 from sim.turtlebot3.robot_state import RobotStatePublisher
-from sim.turtlebot3.sensors import ImuPlugin, LaserPlugin, RangePlugin, Ranges, SensorErrors
+from sim.turtlebot3.sensors import ImuPlugin, LaserPlugin, RangePlugin, SensorErrors, View
 from sim.turtlebot3.wheel_odometry import WheelOdometry
 from sim.turtlebot3.world import World
 
@@ -83,7 +82,7 @@ def add_robot(
     RobotStatePublisher(domain)
 
 
-def _rays(world: World, mount: frames.Mount) -> Callable[[Floats, float], Ranges]:
+def _rays(world: World, mount: frames.Mount) -> View:
     """Return a sensor's view of the world: ranges along bearings of its own frame."""
     x, y, z = mount.xyz
     pose, height = Pose2D(x, y), z + frames.STATIC[0].xyz[2]

@@ -34,7 +34,7 @@ _IMU = "sensor_msgs/msg/Imu"
 _LASER_SCAN = "sensor_msgs/msg/LaserScan"
 _RANGE = "sensor_msgs/msg/Range"
 
-Ranges = NDArray[np.float64]
+View = Callable[[Floats, float], Floats]  # of bearings and a range: distances
 
 IMU_NS = 34 * MILLISECOND  # period of odometry; all samples of one period are measured together
 _MOST_SAMPLES = math.ceil(IMU_NS / STEP_NS)  # in one period
@@ -186,7 +186,7 @@ class LaserPlugin(Node):
         name: str,
         topic: str,
         mount: frames.Mount,
-        measure: Callable[[Floats, float], Ranges],
+        measure: View,
         noise: LidarNoise,
         rng: np.random.Generator,
         phase_ns: int,
@@ -225,7 +225,7 @@ class LaserPlugin(Node):
         )
 
 
-def noisy_ranges(exact: Ranges, noise: LidarNoise, rng: np.random.Generator) -> NDArray[np.float32]:
+def noisy_ranges(exact: Floats, noise: LidarNoise, rng: np.random.Generator) -> NDArray[np.float32]:
     """Return the reported ranges for exact ones [m]; each ray takes two draws in any case."""
     errors, losses = rng.standard_normal(len(exact)), rng.random(len(exact))
     return _measured(exact, noise.bias_m, noise.sd_m, errors, losses, noise.dropouts)
@@ -233,7 +233,7 @@ def noisy_ranges(exact: Ranges, noise: LidarNoise, rng: np.random.Generator) -> 
 
 @jit
 def _measured(
-    exact: Ranges, bias: float, sd: float, errors: Ranges, losses: Ranges, dropouts: float
+    exact: Floats, bias: float, sd: float, errors: Floats, losses: Floats, dropouts: float
 ) -> NDArray[np.float32]:
     ranges = np.empty(len(exact), np.float32)
     for i in range(len(exact)):
@@ -250,11 +250,7 @@ class RangePlugin(Node):
     """``/range_ella``: the nearest obstacle in a narrow infrared cone ahead."""
 
     def __init__(
-        self,
-        domain: Domain,
-        measure: Callable[[Floats, float], Ranges],
-        rng: np.random.Generator,
-        phase_ns: int,
+        self, domain: Domain, measure: View, rng: np.random.Generator, phase_ns: int
     ) -> None:
         super().__init__(domain, "/turtlebot3_range_ella", rng=rng)
         self._measure = measure

@@ -13,7 +13,7 @@ import pytest
 
 from assets.experiment_runs import REPRODUCIBLE
 from assets.worker.reproduction import refreshed_directory
-from oracle_pipeline.bags.run_directory import bytes_on_disk
+from oracle_pipeline.bags.run_directory import bytes_on_disk, find_runs
 from oracle_pipeline.datasets import content_hash, feature_dataset, read_table
 from oracle_pipeline.reporting.stored_report import Report
 from resources.fleet import Fleet
@@ -70,7 +70,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedLaborator
 def test_a_cluster_gives_the_same_runs_as_this_machine(
     shared: SharedLaboratory, campaign: Laboratory
 ) -> None:
-    assert [run.key for run in STORE.complete_runs()] == [PARTNER, KEY]
+    assert [run.key for run in find_runs(STORE.path)] == [PARTNER, KEY]
     for key in (PARTNER, KEY):
         theirs, ours = STORE.run(key), campaign.store.run(key)
         assert theirs.manifest().content_hash == ours.manifest().content_hash

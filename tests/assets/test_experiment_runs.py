@@ -6,9 +6,9 @@ import re
 import dagster as dg
 import pytest
 
+from oracle_pipeline.bags.run_directory import find_runs
 from resources.budget import StorageBudget
 from resources.campaign import CampaignSettings
-from resources.store import RunStore
 from tests.assets.laboratory import ATTACKED, KEY, KEYS, PER_RUN, Laboratory
 from tests.manifests import rewrite
 
@@ -153,7 +153,7 @@ def test_a_disk_without_room_fails_before_any_run(empty: Laboratory) -> None:
     result = empty.materialize(PER_RUN, *BOTH, budget=StorageBudget(reserve_mb=10**12))
     assert not result.success
     assert "do not fit" in str(result.failure_data_for_node("runs"))
-    assert not RunStore(root=str(empty.root)).complete_runs()
+    assert not find_runs(empty.root)
 
 
 def test_features_of_a_missing_run_record_it_first(empty: Laboratory) -> None:
