@@ -6,6 +6,8 @@ docs/explanation/dagster.md explains the reasons and costs.
 """
 
 import contextlib
+import os
+import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -21,8 +23,6 @@ from assets.partition_work import PartitionWork
 from assets.partitions import RUNS
 from assets.worker.versions import feature_code
 from oracle_pipeline.bags import layout
-from oracle_pipeline.bags.run_directory import RunDirectory
-from resources import startup_stderr
 from resources.budget import StorageBudget
 from resources.campaign import CampaignSettings
 from resources.dagster_internals import output_without_event
@@ -37,6 +37,9 @@ if TYPE_CHECKING:
     from assets.worker.run_job import RunJob, RunReport
     from sim.experiments import RebuildResult
     from sim.fan_out import JobOutcome
+
+# The terminal of progress bars: inside a step, Dagster redirects standard error to a log file.
+_TERMINAL = os.fdopen(os.dup(sys.stderr.fileno()), "w") if sys.stderr.isatty() else None
 
 _RUN_CODE = run_code(testbed.made_by for testbed in TESTBEDS.values())
 _CURRENT = frozenset(run_code([testbed.made_by]) for testbed in TESTBEDS.values())
@@ -150,6 +153,8 @@ def recorded_runs(
     budget: StorageBudget,
 ) -> Iterator[dg.AssetMaterialization | dg.AssetCheckEvaluation | dg.Output[None]]:
     """Process every run of the partitions from recipe to features, block by block."""
+    from assets.worker.run_job import RunJob
+
     for broken in left_out():
         context.log.warning(f"Left out: {broken}")
     specs = [spec for spec in SPECS if spec.key in context.selected_asset_keys]
@@ -157,14 +162,15 @@ def recorded_runs(
     keys = {str(key): key for key in context.partition_keys}
     partitions = {key: PartitionWork(key, store.runs(key)) for key in keys}
     of_run = {run: partition for partition in partitions.values() for run in partition.runs}
-    jobs = [_job(run, specs, campaign, refresh=config.refresh) for run in of_run]
+    wanted = frozenset(spec.key.to_user_string() for spec in specs)
+    jobs = [RunJob(run, campaign.campaign(), wanted, config.refresh) for run in of_run]
     jobs.sort(key=lambda job: job.directory.run)  # so that paired modes finish together
     store.require_writable()
 
     failed: dict[str, str] = {}
     simulated, simulated_s, open_partitions, started = 0, 0.0, len(keys), time.monotonic()
     with contextlib.ExitStack() as stack:
-        stack.enter_context(contextlib.redirect_stderr(startup_stderr.stderr()))
+        stack.enter_context(contextlib.redirect_stderr(_TERMINAL or sys.stderr))
         progress = stack.enter_context(contextlib.closing(RunProgress(len(jobs))))
         if config.refresh or not all(job.directory.is_complete() for job in jobs):
             stack.enter_context(budget.alone(store))
@@ -288,19 +294,6 @@ def _reproducible(
         passed=not wrong,
         description=_DESCRIPTIONS[reproduction.comparison],
         metadata=facts,
-    )
-
-
-def _job(
-    run: RunDirectory, specs: Sequence[dg.AssetSpec], campaign: CampaignSettings, *, refresh: bool
-) -> "RunJob":
-    from assets.worker.run_job import RunJob
-
-    return RunJob(
-        directory=run,
-        campaign=campaign.campaign(),
-        wanted=frozenset(spec.key.to_user_string() for spec in specs),
-        refresh=refresh,
     )
 
 

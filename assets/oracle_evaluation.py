@@ -1,8 +1,6 @@
 """Our own evaluation of the oracle, over distinct runs and held-out blocks."""
 
-import math
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import dagster as dg
@@ -11,7 +9,7 @@ from assets.aggregates import TRUTH, TestbedConfig, aggregate, keep, run_table, 
 from assets.feature_dataset import feature_dataset
 from assets.run_checks import PAIR_CHECK, complete_pairs
 from oracle_pipeline.bags.run_directory import RunDirectory
-from resources.fleet import PROGRESS_S, Fleet
+from resources.fleet import Fleet
 from resources.store import RunStore
 
 if TYPE_CHECKING:
@@ -42,27 +40,11 @@ def oracle_evaluation(
         observations=_observations(context, store, fleet, list(df["run_id"])),
         graph_differences=_graph_differences(store, fleet, set(df["run_id"])),
         grid=_mutants(store, fleet),
-        progress=_throttled(context.log.info),
+        progress=lambda step: context.log.info(f"Evaluating: {step}."),
     )
     report = evaluation_report(evaluation)
     context.log.info(f"{report.summary['headline']} {report.summary['verdicts']}".strip())
     return keep(report, store, "oracle_evaluation")
-
-
-def _throttled(log: Callable[[str], None]) -> Callable[[str], None]:
-    """Return a function that logs the current step, at most once per `PROGRESS_S`.
-
-    There are many steps, most of which take less than a second.
-    """
-    last_s = -math.inf
-
-    def log_step(step: str) -> None:
-        nonlocal last_s
-        if (now_s := time.monotonic()) - last_s >= PROGRESS_S:
-            last_s = now_s
-            log(f"Evaluating: {step}.")
-
-    return log_step
 
 
 def _observations(

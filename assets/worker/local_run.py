@@ -13,17 +13,23 @@ from sim.pairs import judge_pair
 
 
 @contextlib.contextmanager
-def local_directory(run: RunDirectory) -> Iterator[RunDirectory]:
-    """Yield a local directory for a run: its own, or a temporary one that is then published."""
+def on_this_machine(run: RunDirectory) -> Iterator[RunDirectory]:
+    """Yield a run directory on the local disk: the one given, or a temporary one."""
     if is_local(run.root):
         yield run
         return
     with tempfile.TemporaryDirectory(prefix="oracle-") as root:
-        local = replace(run, root=Path(root))
+        yield replace(run, root=Path(root))
+
+
+@contextlib.contextmanager
+def local_directory(run: RunDirectory) -> Iterator[RunDirectory]:
+    """Yield a local directory for a run: its own, or a temporary one that is then published."""
+    with on_this_machine(run) as local:
         try:
             yield local
         finally:  # a complete run is kept even if its features failed
-            if local.is_complete():
+            if local != run and local.is_complete():
                 publish_run(local, run)
 
 

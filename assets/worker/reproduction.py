@@ -3,15 +3,10 @@
 ``assets.worker.run`` decides which of the two stays in use.
 """
 
-import contextlib
-import tempfile
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from oracle_pipeline.bags.layout import REFRESHED
 from oracle_pipeline.bags.manifest import Manifest
-from oracle_pipeline.bags.remote import is_local
 from oracle_pipeline.bags.run_directory import RunDirectory
 from sim.experiments import RebuildResult, compared
 
@@ -28,16 +23,6 @@ class Reproduction:
 def refreshed_directory(run: RunDirectory) -> RunDirectory:
     """Return the directory of a re-simulated run that must not replace the previous one."""
     return replace(run, root=run.root / REFRESHED)
-
-
-@contextlib.contextmanager
-def separate_directory(run: RunDirectory) -> Iterator[RunDirectory]:
-    """Yield a local directory for a re-simulated run, separate from the previous one."""
-    if is_local(run.root):
-        yield refreshed_directory(run)
-        return
-    with tempfile.TemporaryDirectory(prefix="oracle-") as root:
-        yield replace(run, root=Path(root))
 
 
 def judge(former: Manifest, again: RunDirectory) -> Reproduction:

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 from assets.worker.description import described_features, described_recording
 from assets.worker.feature_tables import ensure_tables, tables_are_current, topics_of_features
-from assets.worker.local_run import local_directory, publish_run
-from assets.worker.reproduction import judge, refreshed_directory, separate_directory
+from assets.worker.local_run import local_directory, on_this_machine, publish_run
+from assets.worker.reproduction import judge, refreshed_directory
 from assets.worker.run_job import AssetOfRun, RunJob, RunReport, Status
 from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.manifest import KEPT, Manifest
@@ -76,7 +76,7 @@ def _remake(job: RunJob, manifest: Manifest) -> RunReport:
 def _resimulate(job: RunJob, previous: Manifest) -> RunReport:
     """Re-simulate a complete run, and replace it unless messages differ for an unknown reason."""
     run = job.directory
-    with separate_directory(run) as aside:
+    with on_this_machine(refreshed_directory(run)) as aside:
         _record(replace(job, directory=aside))
         reproduction = judge(previous, aside)
         if reproduction.comparison == "unexplained":

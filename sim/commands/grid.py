@@ -22,8 +22,7 @@ from sim.commands.batch import (
     workers_option,
 )
 from sim.commands.kill_matrix import derive_mutant, mutants, write_index
-from sim.commands.magnitudes import BUILT_IN, sweeps_of
-from sim.commands.parameter_values import sweep
+from sim.commands.parameter_values import BUILT_IN, sweep, sweeps_of
 from sim.experiments import Job, record_job
 from sim.modes import find_mode
 from sim.scenarios import builtin_scenarios

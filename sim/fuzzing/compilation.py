@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.fuzzing.compile_context import CompileContext, OperationBudget, OperationNumbers
-from sim.fuzzing.faults import Faults
+from sim.fuzzing.compile_context import CompileContext, Faults, OperationBudget, OperationNumbers
 from sim.fuzzing.fields import as_sent
 from sim.fuzzing.grammar import ExpressionError
 from sim.fuzzing.lanes import check_names, compile_actions, playback, with_further_topics

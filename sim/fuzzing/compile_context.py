@@ -6,16 +6,16 @@ Everything is checked here against the types of the messages, and errors name th
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
 
 from sim.fuzzing.expressions import compile_expression
-from sim.fuzzing.faults import Faults, TooMuchError
 from sim.fuzzing.fields import Convert, Field, RefusedMessage, converter, difference
 from sim.fuzzing.grammar import ExpressionError
-from sim.fuzzing.scenario import Key, Scenario, ScenarioError
+from sim.fuzzing.scenario import Key, Scenario, ScenarioError, together
 from sim.fuzzing.scopes import Scope
 from sim.fuzzing.step import Step, Term
 from sim.fuzzing.value_types import INTEGER, Array, Boolean, Message, Number, Record, Text, Type
@@ -23,6 +23,50 @@ from sim.fuzzing.value_types import INTEGER, Array, Boolean, Message, Number, Re
 Spec = Mapping[str, Any]
 
 MAX_OPERATIONS = 30_000  # of all expressions in a file, functions counted at each call
+
+
+class TooMuchError(ScenarioError):
+    """The limit of compilation is reached, so the search for faults ends."""
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """Gathers the faults of parts that do not depend on each other.
+
+    Examples
+    --------
+    >>> faults = Faults()
+    >>> for line in ("one", "two"):
+    ...     with faults.gathered():
+    ...         raise ScenarioError(line)
+    >>> faults.end()
+    Traceback (most recent call last):
+    sim.fuzzing.scenario.ScenarioError: one
+    two
+    """
+
+    _found: list[ScenarioError] = field(default_factory=list)
+
+    @contextmanager
+    def gathered(self) -> Iterator[None]:
+        """Store the fault of one part, and continue after it."""
+        try:
+            yield
+        except TooMuchError:
+            raise
+        except ScenarioError as error:
+            self._found.append(error)
+
+    def end(self) -> None:
+        """Refuse the scenario if there was a fault; called before a stage that needs all parts.
+
+        Raises
+        ------
+        ScenarioError
+            With a line for each of the first faults.
+        """
+        if self._found:
+            raise together(self._found)
 
 
 @dataclass(slots=True)

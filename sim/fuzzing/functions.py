@@ -236,8 +236,7 @@ def _table_position_key(types: Types) -> Type | None:
             [table.row.fields.get(name, BOOLEAN) for name in ("lat", "lon")]
         ):
             return table.row
-        case _:
-            return None
+    return None
 
 
 def _rows(types: Types) -> int:

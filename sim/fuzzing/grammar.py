@@ -93,8 +93,7 @@ def _wrong_with(node: ast.AST) -> str | None:
             return _wrong_with_exponent(exponent)
         case _ if not isinstance(node, _NODES):
             return f"{type(node).__name__} is not of the language, which has {_LANGUAGE}"
-        case _:
-            return None
+    return None
 
 
 def _wrong_with_constant(value: object) -> str | None:
@@ -126,8 +125,7 @@ def called_function(node: ast.AST) -> str | None:
     match node:
         case ast.Call(ast.Attribute(ast.Name(id), name)) if id == FUNCTIONS:
             return name
-        case _:
-            return None
+    return None
 
 
 def check_names(names: Iterable[str], reserved: Iterable[str] = ()) -> None:

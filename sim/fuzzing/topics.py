@@ -6,7 +6,7 @@ from typing import Any
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from sim.fuzzing.actuation import moves_something
-from sim.fuzzing.faults import Faults
+from sim.fuzzing.compile_context import Faults
 from sim.fuzzing.scenario import Key, Scenario
 from sim.fuzzing.value_types import Message, message_type
 

@@ -198,8 +198,7 @@ def listable(kind: Type) -> Type | None:
             return FLOAT
         case Array(Number(), int() as length, True):
             return Array(FLOAT, length, fixed=True)
-        case _:
-            return None
+    return None
 
 
 def has_header(kind: Message) -> bool:

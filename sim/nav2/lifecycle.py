@@ -155,16 +155,14 @@ class LifecycleManager(Node):
 
     Parameters
     ----------
-    domain, name, latency_ns
+    domain, name
         As for `Node`.
     managed
         Full names of the nodes in the order of bring-up; they may appear later.
     """
 
-    def __init__(
-        self, domain: Domain, name: str, managed: Sequence[str], *, latency_ns: int = 0
-    ) -> None:
-        super().__init__(domain, name, latency_ns=latency_ns)
+    def __init__(self, domain: Domain, name: str, managed: Sequence[str]) -> None:
+        super().__init__(domain, name)
         self.is_active = False
         self._diagnostics = self.create_publisher(
             "diagnostic_msgs/msg/DiagnosticArray", "/diagnostics", qos.profile(1)

@@ -6,7 +6,6 @@ collision monitor's stop zone holds it. Why, and what it changes: docs/explanati
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,12 +15,9 @@ from sim.nav2.dwb import Cycle, LocalPlanner
 from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.paths import Poses
 
-
-class ShimParameters(NamedTuple):
-    """Names as in the original, which has 0.785 rad and 0.5 m by default."""
-
-    angular_dist_threshold: float = 0.35  # heading errors above this are turned away first [rad]
-    forward_sampling_distance: float = 0.4  # where on the path the heading is looked up [m]
+# Names as in the original, which has 0.785 rad and 0.5 m by default.
+ANGULAR_DIST_THRESHOLD = 0.35  # heading errors above this are turned away first [rad]
+FORWARD_SAMPLING_DISTANCE = 0.4  # where on the path the heading is looked up [m]
 
 
 class RotationShim(LocalPlanner):
@@ -32,13 +28,12 @@ class RotationShim(LocalPlanner):
 
     Parameters
     ----------
-    dwb, shim
-        Of the planner, and of the turn before it takes over.
+    dwb
+        Parameters of the planner.
     """
 
-    def __init__(self, dwb: Parameters | None = None, shim: ShimParameters | None = None) -> None:
+    def __init__(self, dwb: Parameters | None = None) -> None:
         super().__init__(dwb)
-        self._shim = shim or ShimParameters()
         self._facing = False  # still to be checked whether the robot faces the plan
 
     def set_plan(self, plan: Poses, *, same_goal: bool = False) -> None:
@@ -53,7 +48,7 @@ class RotationShim(LocalPlanner):
         if self._facing:
             near = self.followed(pose, grid, from_plan)
             error = self._heading_error(pose, near)
-            self._facing = abs(error) > self._shim.angular_dist_threshold
+            self._facing = abs(error) > ANGULAR_DIST_THRESHOLD
             if self._facing:
                 turning = math.copysign(self._limited.max_vel_theta, error)
                 return Cycle((0.0, turning), near, near[:0])
@@ -63,7 +58,7 @@ class RotationShim(LocalPlanner):
         """Return the bearing of the path at the look-ahead distance; 0 if the path ends before."""
         distances = np.hypot(plan[:, 0] - robot.x, plan[:, 1] - robot.y)
         closest = int(np.argmin(distances)) if len(plan) else 0
-        ahead = np.flatnonzero(distances[closest:] >= self._shim.forward_sampling_distance)
+        ahead = np.flatnonzero(distances[closest:] >= FORWARD_SAMPLING_DISTANCE)
         if not len(ahead):
             return 0.0
         x, y, _ = plan[closest + ahead[0]].tolist()

@@ -21,9 +21,8 @@ from oracle_pipeline.bags.types import TypeDefinition, serialize
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.opened_run import open_run
 from sim.commands.kill_matrix import derive_mutant, mutants
-from sim.commands.magnitudes import BUILT_IN, WITHOUT, sweeps_of
 from sim.commands.main import main
-from sim.commands.parameter_values import ParameterError, Sweep
+from sim.commands.parameter_values import BUILT_IN, WITHOUT, ParameterError, Sweep, sweeps_of
 from sim.experiments import Job
 from sim.fuzzing.scenario import parse_scenarios
 from sim.modes import FOLDER, find_mode

@@ -8,10 +8,9 @@ from hypothesis import strategies as st
 
 from sim.middleware.geometry import Pose2D, wrap_angle
 from sim.nav2.costmap import CostGrid
-from sim.nav2.rotation_shim import RotationShim, ShimParameters
+from sim.nav2.rotation_shim import ANGULAR_DIST_THRESHOLD, RotationShim
 
 GRID = CostGrid(np.zeros((60, 60), np.uint8), 0.05, -1.5, -1.5)
-THRESHOLD = ShimParameters().angular_dist_threshold
 HERE = Pose2D()
 
 
@@ -33,10 +32,10 @@ def test_the_robot_turns_on_the_spot_towards_a_path_it_does_not_face_and_drives_
     bearing,
 ):
     forward, turning = shim(plan(bearing)).compute(GRID, HERE, (0.0, 0.0), HERE).twist
-    if abs(wrap_angle(bearing)) > THRESHOLD + 1e-6:
+    if abs(wrap_angle(bearing)) > ANGULAR_DIST_THRESHOLD + 1e-6:
         assert forward == 0.0
         assert turning * bearing > 0.0
-    elif abs(bearing) < THRESHOLD - 1e-6:
+    elif abs(bearing) < ANGULAR_DIST_THRESHOLD - 1e-6:
         assert forward > 0.0
 
 
