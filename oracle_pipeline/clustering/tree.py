@@ -1,6 +1,6 @@
 """The dendrogram: grown from scaled rows by SciPy, cut into flat clusters.
 
-``oracle_pipeline.clustering.scores`` has verdicts and scores of runs.
+Flat clusters give verdicts on rows, and heights in the tree scores of them.
 """
 
 from dataclasses import dataclass
