@@ -20,6 +20,7 @@ from typing import TypeAlias
 from rosbags.interfaces import Qos
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.processes import no_program
 from oracle_pipeline.bags.reader import RawMessage
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.features.engine.kept_rows import Carried
@@ -104,7 +105,7 @@ class JudgeProcess:
         self._process = context.Process(
             target=_work, args=(theirs, known, alarms_per_h, plugins), name="judge", daemon=True
         )
-        with _without_interrupts():
+        with no_program(), _without_interrupts():
             self._process.start()
         theirs.close()
 

@@ -8,13 +8,22 @@ import json
 import sys
 from pathlib import Path
 
+from resources.campaign import CampaignSettings
+from sim.campaigns import Campaign
 from tests.assets.laboratory import PER_RUN, Laboratory, dagster_home
+
+
+class ShortRuns(CampaignSettings):
+    def campaign(self) -> Campaign:
+        return Campaign(timeout_s=20.0)
 
 
 def main(folder: Path, first: str, last: str) -> None:
     with dagster_home(folder / "home") as instance:
         laboratory = Laboratory(folder / "data", instance)
-        result = laboratory.materialize([*PER_RUN, "feature_dataset"], first, last)
+        result = laboratory.materialize(
+            [*PER_RUN, "feature_dataset"], first, last, campaign=ShortRuns()
+        )
         keys = sorted(laboratory.materialized("run_features"))
         figures = {key: {of: shown(laboratory, of, key) for of in PER_RUN} for key in keys}
         checks = [

@@ -21,7 +21,7 @@ from click.testing import CliRunner
 
 from oracle_pipeline.cli import main as oracle
 from oracle_pipeline.datasets import feature_columns, read_table, write_table
-from sim.campaigns import Options
+from sim.campaigns import Campaign, Options
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.execution import execute
 from sim.fuzzing.scenario import parse_scenarios
@@ -55,11 +55,13 @@ def reader(lab, recorded_run, tmp_path_factory):
     mirrored = replace(ONE_GOAL, options=Options(relation="mirrored"))
     copied(recorded_run(NORMAL, 0, mirrored), folder / "mirrored")
     shutil.copytree(lab / "runs" / NORMAL / "run000", folder / f"data/runs/{NORMAL}/run000")
-    # As few as a verdict with --far 0.25, or a comparison, takes.
-    for name_of_set, count in (("good_bags", 3), ("old_build", 4), ("new_build", 4)):
-        for number in range(count):
-            bag = lab / f"runs/{NORMAL}/run00{number}/bag"
-            shutil.copytree(bag, folder / name_of_set / str(number))
+    # As few as a verdict with --far 0.25, or a comparison, takes; of builds, short ones.
+    for number in range(3):
+        shutil.copytree(lab / f"runs/{NORMAL}/run00{number}/bag", folder / f"good_bags/{number}")
+    for number in range(4):
+        bag = recorded_run("atc_normal", number, Campaign(timeout_s=20.0)).bag
+        for build in ("old_build", "new_build"):
+            shutil.copytree(bag, folder / build / str(number))
     for place in ("my_robot_bag", "tonight/first"):
         shutil.copytree(lab / f"runs/{NORMAL}/run004/bag", folder / place)
     normal, attacked = (features(folder, mode) for mode in (NORMAL, ATTACKED))

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from oracle_pipeline.cli import main
 
-NORMALS, TESTED = 12, 8
+NORMALS, TESTED = 10, 4
 MOTORS = 4
 
 

@@ -60,7 +60,7 @@ def test_arenas_are_bounded(arena):
     assert len(set(names)) == len(names)
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(arenas)
 def test_wherever_a_robot_may_stop_it_gets_through_wide_passages(arena):
     _, distance = distances(arena)
@@ -70,7 +70,7 @@ def test_wherever_a_robot_may_stop_it_gets_through_wide_passages(arena):
     assert (distance >= MIN_CLEARANCE_M).sum() * RESOLUTION_M**2 > 4.0, "there is room to stop"
 
 
-@settings(max_examples=20)
+@settings(max_examples=8)
 @given(arenas)
 def test_the_planner_gets_from_each_corner_of_the_free_space_to_every_other(arena):
     world, distance = distances(arena)
@@ -105,7 +105,7 @@ def test_every_door_is_a_gap_of_at_least_0_9_m_between_two_parts_of_a_wall(seed)
     assert doors >= 4, "the house has them"
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(arenas)
 def test_the_map_is_the_geometry(arena):
     world, distance = distances(arena)
