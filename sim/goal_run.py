@@ -14,6 +14,9 @@ from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.testbed import Recipe
 from sim.testbed_run import TestbedRun
 
+BEFORE_RECORDING_NS = 1 * SECOND
+BEFORE_PROGRAM_NS = 2 * SECOND  # from the recorder's start
+AFTER_PROGRAM_NS = 1 * SECOND
 _PERIOD_NS = 100 * MILLISECOND  # a tenth of a second at 0.26 m/s is 3 cm of a smooth arc
 
 
@@ -77,6 +80,37 @@ class GoalRun(TestbedRun):
         self._end_ns = 0
         self._onset_ns: int | None = None
         self._attack_end_ns: int | None = None
+
+    def _conduct(
+        self, start: Callable[[], None], is_over: Callable[[], bool], timeout_s: float
+    ) -> None:
+        """Record a program, from shortly before its start until shortly after its end.
+
+        Parameters
+        ----------
+        start
+            Starts the program, which calls `_on_part` for each goal.
+        is_over
+            Returns whether it has ended.
+        timeout_s
+            Longest recording [s].
+        """
+        run = self._executor
+        self._prepare()
+        run.run_until(BEFORE_RECORDING_NS)
+        self._begin()
+        with self._recorded():
+            run.run_until(self._start_ns + BEFORE_PROGRAM_NS)
+            start()
+            run.run_until(self._start_ns + round(timeout_s * SECOND), stop=is_over)
+            if is_over():
+                run.run_until(run.now_ns + AFTER_PROGRAM_NS)
+            self._end_ns = run.now_ns
+
+    def _on_part(self, number: int) -> None:
+        """Take the number of a goal that a program has begun, from 1."""
+        self._odometer.mark()
+        self._on_goal(number)
 
     def _prepare(self) -> None:
         """Add the mode's node, unless it is absent until the onset."""

@@ -21,6 +21,7 @@ BUILT_IN = {
     "turtlebot3": "sim.turtlebot3.testbed:TURTLEBOT3",
     "atc": "sim.atc.testbed:AIR_TRAFFIC_CONTROL",
     "crazyflie": "sim.crazyflie.testbed:CRAZYFLIE",
+    "arm": "sim.arm.testbed:ARM",
 }
 
 

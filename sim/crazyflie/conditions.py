@@ -1,33 +1,14 @@
-"""Conditions of the testbed that a scenario may change: damage, loads, wind, errors of sensors.
+"""Conditions of the drone that a scenario may change: damage, loads, wind, errors of sensors."""
 
-A scenario sets them with ``set_parameters`` on the node ``/world``, from its onset to its end.
-They are no messages: no topic, graph or event shows them.
-"""
-
-import functools
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oracle_pipeline.bags.errors import OracleError
 from sim.arrays import Floats
+from sim.conditions import Range
 from sim.crazyflie.airframe import BLADE_M
-from sim.fuzzing.scenario import WORLD
-from sim.middleware import qos
-from sim.middleware.domain import Domain
-from sim.middleware.node_parameters import EVENT, NodeParameter
 
 MOTORS = range(1, 5)
-
-
-class Range(NamedTuple):
-    """Usual value of a condition, and the bounds of others."""
-
-    usual: float
-    low: float
-    high: float
-
 
 CONDITIONS: Mapping[str, Range] = {
     **{f"m{motor}.cut_{blade}_mm": Range(0.0, 0.0, 15.0) for motor in MOTORS for blade in "ab"},
@@ -51,10 +32,6 @@ CONDITIONS: Mapping[str, Range] = {
 _TIP_KG_M = 1.3e-3
 _TAPE_AT = 0.6
 _TAPE_LOSS_MG = 1.5e-3
-
-
-class ConditionError(OracleError):
-    """A condition cannot have this value."""
 
 
 def usual_conditions() -> dict[str, float]:
@@ -90,25 +67,3 @@ def rotors_of(
     uneven = _TIP_KG_M * (left[:, 0] ** 2 - left[:, 1] ** 2) / 2.0
     taped = tape_mg * 1e-6 * _TAPE_AT * BLADE_M
     return np.array([thrust * wear * lift, drag / lift, imbalance + np.abs(uneven) + taped])
-
-
-def declare(domain: Domain, changed: Callable[[str, float], None]) -> None:
-    """Let scenarios set the conditions.
-
-    Parameters
-    ----------
-    domain
-        Domain of the scenario.
-    changed
-        Takes the name of a condition and its new value.
-    """
-    unseen = domain.add_publisher(WORLD, EVENT, "/_world/parameter_events", qos.PARAMETER_EVENTS)
-    for name, values in CONDITIONS.items():
-        check, change = functools.partial(_checked, name, values), functools.partial(changed, name)
-        domain.add_parameter(NodeParameter(WORLD, name, values.usual, check, change, unseen))
-
-
-def _checked(name: str, values: Range, value: float) -> float:
-    if not values.low <= value <= values.high:
-        raise ConditionError(f"{name} is from {values.low:g} to {values.high:g}, not {value:g}")
-    return float(value)

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from oracle_pipeline.bags import manifest as schema
+from sim.conditions import declare
 from sim.crazyflie.commander import FlightCommander
-from sim.crazyflie.conditions import declare
+from sim.crazyflie.conditions import CONDITIONS
 from sim.crazyflie.firmware import Firmware
 from sim.crazyflie.recipes import CrazyflieRecipe
 from sim.crazyflie.server import CrazyflieServer
@@ -19,11 +20,7 @@ from sim.crazyflie.tracking import MotionCapture
 from sim.crazyflie.world import START_Z, World
 from sim.goal_run import GoalRun, Odometer
 from sim.middleware.domain import Domain
-from sim.middleware.executor import MILLISECOND, SECOND, Executor
-
-BEFORE_RECORDING_NS = 1 * SECOND
-BEFORE_TAKE_OFF_NS = 2 * SECOND  # from the recorder's start
-AFTER_LANDING_NS = 1 * SECOND
+from sim.middleware.executor import MILLISECOND, Executor
 
 
 class CrazyflieRun(GoalRun):
@@ -44,23 +41,15 @@ class CrazyflieRun(GoalRun):
         CrazyflieServer(domain, firmware, world.volts, draws("/crazyflie_server"), latency_ns)
         self._commander = FlightCommander(domain, latency_ns)
         self._progress = self._commander.results
-        declare(domain, world.change)
+        declare(domain, CONDITIONS, world.change)
         self._odometer = Odometer(self._executor, lambda: world.pose()[0].tolist())
 
     def go(self) -> None:
         """Record the flight, and write bag and graphs."""
-        run = self._executor
-        self._prepare()
-        run.run_until(BEFORE_RECORDING_NS)
-        self._begin()
-        with self._recorded():
-            run.run_until(self._start_ns + BEFORE_TAKE_OFF_NS)
-            self._commander.fly(self._recipe.legs, self._on_leg)
-            limit_ns = self._start_ns + round(self._recipe.timeout_s * SECOND)
-            run.run_until(limit_ns, stop=lambda: self._commander.is_over)
-            if self._commander.is_over:
-                run.run_until(run.now_ns + AFTER_LANDING_NS)
-            self._end_ns = run.now_ns
+        flight, recipe = self._commander, self._recipe
+        self._conduct(
+            lambda: flight.fly(recipe.legs, self._on_part), lambda: flight.is_over, recipe.timeout_s
+        )
 
     def _results(self) -> dict[str, Any]:
         return {
@@ -73,7 +62,3 @@ class CrazyflieRun(GoalRun):
                 schema.Contact(self._seconds(hit_ns), "floor") for hit_ns in self._world.hits_ns
             ),
         }
-
-    def _on_leg(self, number: int) -> None:
-        self._odometer.mark()
-        self._on_goal(number)

@@ -1,4 +1,4 @@
-"""Speed of the testbed: a whole run compared with the yardstick, and where its time goes.
+"""Speed of the testbeds: a whole run compared with the yardstick, and where its time goes.
 
 Everything runs on one core. A round is the yardstick, a run and the yardstick again, so that other
 load on the machine affects both. Times are processor times, which exclude other programs on the
@@ -26,6 +26,7 @@ from sim.experiments import recipe_for
 from sim.middleware.endpoints import Subscription
 from sim.middleware.executor import Executor, Timer
 from sim.middleware.node import Node
+from sim.testbeds import TESTBEDS
 from sim.turtlebot3 import run as turtlebot3_run
 from sim.turtlebot3.world import World
 from tools.bench import yardstick
@@ -71,12 +72,26 @@ def rows() -> Iterator[Row]:
         cold = [_cold_start_s(root / f"cold{i}") for i in range(3)]
         yield Row("new process, one goal, compile cache warm", median(cold), "s", 5, True,
                   spread(cold))  # fmt: skip
+        for name, testbed in TESTBEDS.items():
+            yield _speed(root, name, testbed.experiments[0])
         yield from _shares(root, warm_up.run)
 
 
-def _record(root: Path, block: int, *, refresh: bool = False) -> Manifest:
-    recipe = recipe_for(MODE, block, Campaign())
-    return experiments.record_run(recipe, RunDirectory(root, MODE, block), refresh=refresh)
+def _record(root: Path, block: int, *, refresh: bool = False, mode: str = MODE) -> Manifest:
+    recipe = recipe_for(mode, block, Campaign())
+    return experiments.record_run(recipe, RunDirectory(root, mode, block), refresh=refresh)
+
+
+def _speed(root: Path, testbed: str, mode: str) -> Row:
+    """Return how much faster than real time runs of a testbed are."""
+    _record(root, 0, mode=mode)  # compiles
+    factors = []
+    for block in range(ROUNDS):
+        started = time.process_time()
+        run = _record(root, block, refresh=True, mode=mode)
+        factors.append(run.recording_s / (time.process_time() - started))
+    name = f"{testbed}, per second of the processor"
+    return Row(name, median(factors), "s", 20, False, spread(factors))
 
 
 def _yardstick_s() -> float:

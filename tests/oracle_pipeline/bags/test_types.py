@@ -31,7 +31,9 @@ OURS = (
     "map_msgs/",
     "gazebo_msgs/",
     "oracle_msgs/",
+    "control_msgs/",
     "crazyflie_interfaces/",
+    "moveit_msgs/",
     "motion_capture_tracking_interfaces/",
 )
 ALL_TYPES = sorted(typestore().fielddefs)
