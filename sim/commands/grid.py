@@ -125,7 +125,7 @@ def _attacks(controls: Path | None, *, allow_actuation: bool) -> list[str]:
     return [
         name
         for name, scenario in builtin_scenarios().items()
-        if name in BUILT_IN
+        if BUILT_IN.get(name)
         and which_testbed(scenario) in beds
         and (allow_actuation or not scenario.may_move)
         and (controls is None or not scenario.needs_simulator)
