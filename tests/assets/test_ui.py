@@ -112,16 +112,15 @@ def test_nothing_is_stale_right_after_materialization(ui: Query, asset: str) -> 
     assert node == {"staleStatus": "FRESH", "staleCauses": []}
 
 
-def test_a_report_shows_its_table_and_a_picture(ui: Query) -> None:
+def test_a_report_shows_its_table(ui: Query) -> None:
     (node,) = ui(
         '{ assetNodes(assetKeys: [{path: ["clustering_grid_search"]}]) {'
         "  assetMaterializations(limit: 1) { metadataEntries { label"
-        "  ... on MarkdownMetadataEntry { mdStr } ... on TableMetadataEntry { table { records } }"
+        "  ... on TableMetadataEntry { table { records } }"
         "  } } } }"
     )["assetNodes"]
     (materialization,) = node["assetMaterializations"]
     entries = {entry["label"]: entry for entry in materialization["metadataEntries"]}
-    assert entries["picture"]["mdStr"].startswith("![](data:image/png;base64,")
     assert json.loads(entries["table"]["table"]["records"][0])["linkage"] == "ward"
 
 

@@ -169,7 +169,8 @@ def _localised(
 ) -> Iterator[tuple[str, _Apart]]:
     """Yield how far poses are from where a transform and the one that hangs on it lead.
 
-    A localisation stamps its transform ahead of time, so the two are matched by when they came.
+    A localisation stamps its transform ahead of time, so the two are matched by when they came. A
+    latched pose of before the recording has no transform of its time.
     """
     roots, stamps, *columns = zip(*series.values, strict=True)
     root, stamps_s, believed = roots[0], np.array(stamps), PlanarPose.of(*map(np.array, columns))
@@ -179,7 +180,8 @@ def _localised(
                 continue
             order = np.argsort(upper.times_s, kind="stable")
             at = order[nearest(upper.times_s[order], series.times_s)]
-            near = np.flatnonzero(np.abs(upper.times_s[at] - series.times_s) <= _TOGETHER_S)
+            together = np.abs(upper.times_s[at] - series.times_s) <= _TOGETHER_S
+            near = np.flatnonzero(together & (stamps_s >= lower.stamps_s.min()))
             hung = PosePath.through(lower.stamps_s, lower.pose).at(stamps_s[near])
             led = upper.pose.at(at[near]).compose(hung)
             place = f"{topic} against {parent} -> {middle} -> {child}"

@@ -74,6 +74,13 @@ def test_a_shift_of_five_centimetres_is_measured_as_such(extracted):
     assert values["localisation_position"] == pytest.approx(0.05)
 
 
+def test_a_latched_pose_of_before_the_recording_is_not_compared(tmp_path):
+    latched = (0.0, "/pose", believed_message(-30.0, 5.0 + 0j, 2.0))
+    values, *_ = extract(PLUGINS, [latched, *robot()], tmp_path)
+    assert values["localisation_position"] == pytest.approx(0.0, abs=1e-9)
+    assert values["localisation_yaw"] == pytest.approx(0.0, abs=1e-9)
+
+
 def test_odometry_that_jumps_is_far_from_its_neighbours(extracted):
     smooth, *_ = extracted()
     jumped, *_ = extracted(jump=0.05j)
