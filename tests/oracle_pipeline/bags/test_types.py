@@ -1,3 +1,4 @@
+import functools
 import re
 from importlib import resources
 
@@ -37,6 +38,17 @@ OURS = (
     "motion_capture_tracking_interfaces/",
 )
 ALL_TYPES = sorted(typestore().fielddefs)
+LARGEST = 40  # fields, unfolded; larger messages consist of smaller ones
+
+
+@functools.cache
+def size(msgtype):
+    """Number of fields of a message, unfolded."""
+    total = 0
+    for _, (tag, rest) in typestore().fielddefs[msgtype][1]:
+        inner_tag, inner = rest[0] if int(tag) > 2 else (tag, rest)
+        total += size(inner) if int(inner_tag) == 2 else 1
+    return total
 
 
 def messages(msgtype):
@@ -73,7 +85,9 @@ def scalars(name):
     return st.integers(int(info.min), int(info.max))
 
 
-@pytest.mark.parametrize("msgtype", [t for t in ALL_TYPES if t.startswith(OURS)])
+@pytest.mark.parametrize(
+    "msgtype", [t for t in ALL_TYPES if t.startswith(OURS) and size(t) <= LARGEST]
+)
 def test_serialising_and_back_gives_the_same_bytes(msgtype):
     @settings(max_examples=10)
     @given(messages(msgtype))

@@ -60,5 +60,6 @@ def test_topics_that_report_the_robots_state_do_not_move_it(topic, msgtype):
 def test_built_in_scenarios_that_alter_commands_need_permission_and_are_no_modes():
     mains = {name: scenario.document["main"] for name, scenario in builtin_scenarios().items()}
     moving = {name for name, main in mains.items() if moves_something(main["output"], main["type"])}
-    assert moving == {"command_injection", "command_scale", "cf_setpoint_offset"}
+    of_robots = {"cf_setpoint_offset", "arm_trajectory_offset"}
+    assert moving == {"command_injection", "command_scale", *of_robots}
     assert not moving & modes().keys()

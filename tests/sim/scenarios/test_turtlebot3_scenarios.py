@@ -1,5 +1,6 @@
 """Effects of the built-in scenarios of the first testbed on messages."""
 
+import inspect
 import math
 import random
 from dataclasses import replace
@@ -49,7 +50,7 @@ class Replayed(random.Random):
 
 def noise_number(compiled):
     ((noise,),) = [action.do for action in compiled.actions]
-    return noise.number
+    return inspect.getclosurevars(noise.apply).nonlocals["number"]
 
 
 # The thesis's modes.
