@@ -10,7 +10,8 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
-RELIABLE = Qos(Policy.Reliability.Reliable(100_000_000), Policy.History.KeepLast(10))
+LONGEST_NS = 10_000_000_000  # that a write may wait for slow subscribers, before it raises an error
+RELIABLE = Qos(Policy.Reliability.Reliable(LONGEST_NS), Policy.History.KeepLast(10))
 
 
 @dataclass
