@@ -301,11 +301,6 @@ class RawWriter:
         """Its identifier on the network, 16 bytes."""
         return bytes(self._entity.guid.bytes)
 
-    @property
-    def is_heard(self) -> bool:
-        """Whether the topic has a subscription that it reaches."""
-        return bool(self._entity.get_matched_subscriptions())
-
     def write(self, data: bytes) -> None:
         """Send CDR bytes, encapsulation header included."""
         code = _clayer.ddspy_write(self._entity._ref, to_wire(data))

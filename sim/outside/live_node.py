@@ -90,11 +90,11 @@ class LiveNode:
         """Subscribe to a topic, and take note when it has a message."""
         self._awaited = self._reader(topic, msgtype)
 
-    def publisher(self, topic: str, msgtype: str) -> dds.RawWriter:
-        """Return a publisher, whose messages late subscribers get as well."""
+    def publish(self, topic: str, msgtype: str, data: bytes) -> None:
+        """Publish a message that late subscribers get as well."""
         writer = dds.RawWriter(self._participant, dds_topic(topic), msgtype, qos.LATCHED)
         self._sent.append(writer)
-        return writer
+        writer.write(data)
 
     @property
     def now_ns(self) -> int:
