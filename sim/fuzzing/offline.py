@@ -96,10 +96,11 @@ def mutate_bag(
     with BagReader(bag_in) as recorded:
         reader = _in_cdr(recorded)
         _check_topics(reader, program)
-        accepted_ns = functools.partial(_accepted_ns, reader, goals_s)
+        # The bag is searched once, and only if it has to be.
+        accepted_ns = functools.cache(functools.partial(_accepted_ns, reader, goals_s))
         onset_ns = _onset_ns(reader, program, accepted_ns, at_s, run_seed)
         until = program.activation.until_goal
-        if until is not None and (end_ns := accepted_ns(until)) is not None:
+        if until is not None and (end_ns := _of_goal(accepted_ns(), until)) is not None:
             execution.end((end_ns - onset_ns) / SECOND)
         with BagWriter(bag_out, _storage(bag_in)) as writer:
             run = _Run(reader, writer, execution, onset_ns)
@@ -299,22 +300,25 @@ def _in_cdr(reader: BagReader) -> BagReader:
     return reader.renamed({t.name: t.name for t in reader.topics.values() if t not in others})
 
 
-def _accepted_ns(reader: BagReader, accepted_s: Sequence[float] | None, number: int) -> int | None:
-    """Return when a goal was accepted, counted from 1; None if the recording shows none.
+def _accepted_ns(reader: BagReader, accepted_s: Sequence[float] | None) -> list[int]:
+    """Return when each goal was accepted.
 
     Without ``accepted_s``, in seconds of the recording, the bag is searched for it.
     """
     if accepted_s is None:
-        stamps_ns = list(_goals_ns(reader))
-    else:
-        stamps_ns = [reader.start_ns + round(s * SECOND) for s in accepted_s]
+        return list(_goals_ns(reader))
+    return [reader.start_ns + round(s * SECOND) for s in accepted_s]
+
+
+def _of_goal(stamps_ns: Sequence[int], number: int) -> int | None:
+    """Return the stamp of a goal, counted from 1; None if the recording shows none."""
     return stamps_ns[number - 1] if number <= len(stamps_ns) else None
 
 
 def _onset_ns(
     reader: BagReader,
     program: Program,
-    accepted_ns: Callable[[int], int | None],
+    accepted_ns: Callable[[], Sequence[int]],
     at_s: float | None,
     run_seed: int,
 ) -> int:
@@ -323,7 +327,7 @@ def _onset_ns(
         return reader.start_ns + round(at_s * SECOND)
     begin_ns: int | None = reader.start_ns
     if activation.after == "goal_accepted":
-        begin_ns = accepted_ns(activation.goal)
+        begin_ns = _of_goal(accepted_ns(), activation.goal)
     if begin_ns is None:
         raise BagError(
             f"{reader.path} does not show when goal {activation.goal} was accepted "
