@@ -14,3 +14,7 @@ class GoalProgress:
     ended_ns: int | None = None  # None while it is active
     outcome: GoalOutcome | None = None
     number_of_recoveries: int = 0
+
+    def end(self, now_ns: int, outcome: GoalOutcome) -> None:
+        """Note when and how it ended."""
+        self.ended_ns, self.outcome = now_ns, outcome

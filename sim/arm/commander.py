@@ -20,7 +20,7 @@ from sim.arm.move_group import MOVE
 from sim.arm.perception import OBJECT
 from sim.arm.trajectories import duration_s, timed
 from sim.arrays import Floats
-from sim.goal_progress import GoalOutcome, GoalProgress
+from sim.goal_progress import GoalProgress
 from sim.middleware import qos
 from sim.middleware.action import ActionClient, GoalStatus
 from sim.middleware.domain import Domain
@@ -98,15 +98,12 @@ class PickAndPlace(Node):
             try:
                 yield from self._pick()
                 yield from self._put(place)
-                self._end("succeeded")
+                self.results[-1].end(self.now_ns, "succeeded")
             except _FailedError as error:
                 self.error(f"Goal {number} failed: {error}")
-                self._end("aborted")
+                self.results[-1].end(self.now_ns, "aborted")
                 yield from self._wait()
         self.is_over = True
-
-    def _end(self, outcome: GoalOutcome) -> None:
-        self.results[-1].ended_ns, self.results[-1].outcome = self.now_ns, outcome
 
     def _pick(self) -> Steps:
         yield from self._let_go()

@@ -122,7 +122,7 @@ class FlightCommander(Node):
         """End this leg, and begin the next or the landing."""
         self._before = x, y, z, yaw = self._wanted
         if self.results:
-            self.results[-1].ended_ns, self.results[-1].outcome = self.now_ns, outcome
+            self.results[-1].end(self.now_ns, outcome)
             self.info(f"Leg {len(self.results)} {outcome}")
         leg = None if self._trouble else next(self._legs, None)
         if leg is None:

@@ -125,8 +125,7 @@ class BasicNavigator(Node):
             result.number_of_recoveries = int(feedback.number_of_recoveries)
 
         def on_result(status: GoalStatus, _result: Any) -> None:
-            result.ended_ns = self.now_ns
-            result.outcome = _OUTCOMES[status]
+            result.end(self.now_ns, _OUTCOMES[status])
             self.follow(others if status is GoalStatus.SUCCEEDED else [], on_done, on_accepted)
 
         pose = pose_stamped(self.now_ns, "map", goal.x, goal.y, goal.yaw)
