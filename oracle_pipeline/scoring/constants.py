@@ -26,17 +26,19 @@ from oracle_pipeline.scoring.pace import FEWEST
 from oracle_pipeline.scoring.parameters import EVENTS, Parameters, parameters_of
 
 MOST_MESSAGES = 50  # sampled per topic, spread over the recording
+MOST_OF_TRANSFORMS = 1000  # per topic of transforms, whose messages have different frames
 MOST_BYTES = 4_000_000  # sampled per topic
 MOST_ELEMENTS = 64  # of a sequence; longer ones are measurements
-_DECIMALS = 6  # of a static transform
+_DECIMALS = 6  # of a transform
+_TO = " -> "  # from parent to child
 _TIME = "builtin_interfaces/msg/Time"
 
 
 class Samples:
     """Messages of each topic of a bag, spread evenly, taken while the bag is read.
 
-    Topics with fewer than `FEWEST` messages are left out, except for static transforms and events
-    of parameters. Of these, all messages are taken.
+    Topics with fewer than `FEWEST` messages are left out, except for transforms and events of
+    parameters. Of static transforms and events, all messages are taken.
 
     Attributes
     ----------
@@ -46,22 +48,19 @@ class Samples:
 
     def __init__(self, bag: BagReader) -> None:
         self._bag = bag
-        self._static = {
-            name
-            for name, topic in bag.topics.items()
-            if topic.msgtype in TRANSFORM_TYPES and is_static(topic)
-        }
-        self._events = [name for name, topic in bag.topics.items() if topic.msgtype == EVENTS]
-        whole = {*self._static, *self._events}
+        topics = bag.topics
+        self._transforms = {n for n, topic in topics.items() if topic.msgtype in TRANSFORM_TYPES}
+        self._events = [name for name, topic in topics.items() if topic.msgtype == EVENTS]
+        most = dict.fromkeys(self._transforms, MOST_OF_TRANSFORMS)
+        whole = (*self._events, *(name for name in self._transforms if is_static(topics[name])))
+        most |= {name: max(1, topics[name].count) for name in whole}
         self.taken: dict[str, list[bytes]] = {
-            name: [] for name, topic in bag.topics.items() if topic.count >= FEWEST or name in whole
+            name: [] for name, topic in topics.items() if topic.count >= FEWEST or name in most
         }
-        counts = np.array([topic.count for topic in bag.topics.values()], dtype=np.int64)
-        self._names = list(bag.topics)
-        every = -(-counts // MOST_MESSAGES)
-        self._every = np.where([name in whole for name in self._names], 1, every)
-        self._passed = np.zeros(len(counts), dtype=np.int64)
-        self._left = np.full(len(counts), MOST_BYTES, dtype=np.int64)
+        self._names = list(topics)
+        self._every = [-(-each.count // most.get(n, MOST_MESSAGES)) for n, each in topics.items()]
+        self._passed = np.zeros(len(topics), dtype=np.int64)
+        self._left = np.full(len(topics), MOST_BYTES, dtype=np.int64)
 
     def add(self, batch: Messages, number: int, rows: Rows) -> None:
         """Sample the next messages of a topic: some rows of a batch."""
@@ -79,10 +78,10 @@ class Samples:
         """Return the fields that are equal in all sampled messages, by topic, and their values.
 
         Stamps do not count, nor do sequences whose length varies or exceeds `MOST_ELEMENTS`. A
-        static transform counts as two fields, named after its frames. Topics of an unknown type are
-        left out.
+        transform counts as two fields, named after its frames: a joint turns, and its link is
+        mounted in one place. Topics of an unknown type are left out.
         """
-        found = {}
+        found: dict[str, dict[str, str]] = {}
         for topic, data in self.taken.items():
             kind = self._bag.topics[topic]
             try:
@@ -92,10 +91,11 @@ class Samples:
             batch = SerializedMessages(data, store, kind.msgtype, is_cdr=kind.encoding != "ros1")
             if not batch.whole.all():
                 continue
-            if topic in self._static:
-                found[topic] = dict(_transforms(batch.columns()))
-            elif len(data) >= 2:
-                found[topic] = dict(_equal(batch.columns(), store, kind.msgtype))
+            found[topic] = {}
+            if len(data) >= 2 and not is_static(kind):
+                found[topic] |= _equal(batch.columns(), store, kind.msgtype)
+            if topic in self._transforms:
+                found[topic] |= _transforms(batch.columns())
         return found
 
     def entropies(self) -> dict[str, float]:
@@ -114,6 +114,11 @@ class Samples:
         return parameters_of(itertools.compress(reported, whole))
 
 
+def is_of_transform(path: str) -> bool:
+    """Return whether a field is the translation or rotation of a transform."""
+    return _TO in path
+
+
 def _transforms(messages: Columns) -> Iterator[tuple[str, str]]:
     """Yield translation and rotation of the transforms that are always published with one value."""
     each = messages.transforms
@@ -122,7 +127,7 @@ def _transforms(messages: Columns) -> Iterator[tuple[str, str]]:
     rows: dict[str, list[NDArray[np.float64]]] = {}
     numbers = np.column_stack([shift.x, shift.y, shift.z, q.x, q.y, q.z, q.w])
     for parent, child, row in zip(parents, children, numbers.round(_DECIMALS) + 0.0, strict=True):
-        rows.setdefault(f"{parent} -> {child}", []).append(row)
+        rows.setdefault(f"{parent}{_TO}{child}", []).append(row)
     for frames, published in rows.items():
         values = np.array(published)
         yield from _constant(f"{frames} translation", values[:, :3])

@@ -22,7 +22,7 @@ from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.graphs.intervals import compose
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.robots.known import Known
-from oracle_pipeline.scoring.constants import Samples
+from oracle_pipeline.scoring.constants import Samples, is_of_transform
 from oracle_pipeline.scoring.pace import FEWEST, SPAN_S, Pace, Stamped, merged_paces, paces
 from oracle_pipeline.scoring.parameters import Parameters
 from oracle_pipeline.scoring.relays import Fingerprints, Relays
@@ -400,14 +400,19 @@ def _terms(name: str, observations: Iterable[Observation]) -> TopicTerms:
 
 
 def _constants(name: str, observations: Iterable[Observation]) -> dict[str, str | None]:
-    """Return the fields of a topic that never change within any recording."""
+    """Return the fields of a topic that never change within any recording.
+
+    A transform has to be equal in all recordings, too: that of a localisation may rest in each.
+    """
     seen = [of.constants[name] for of in observations if name in of.constants]
     if len(seen) < FEWEST_RECORDINGS:
         return {}
     fields = [path for path in seen[0] if all(path in each for each in seen)]
+    values = {path: {each[path] for each in seen} for path in fields}
     return {
-        path: seen[0][path] if all(each[path] == seen[0][path] for each in seen) else None
-        for path in fields
+        path: value.pop() if len(value) == 1 else None
+        for path, value in values.items()
+        if len(value) == 1 or not is_of_transform(path)
     }
 
 

@@ -114,6 +114,16 @@ def test_a_transform_that_is_published_with_two_values_is_not_constant(constants
     assert constants_of(mounts)["/tf_static"].keys() == {"base -> nose rotation"}
 
 
+def test_the_link_of_a_joint_that_turns_is_mounted_in_one_place(constants_of):
+    turning = [
+        (float(i), "/tf", transforms(("base", "link", 0.3, False), ("odom", "base", i, False)))
+        for i in range(FEWEST)
+    ]
+    found = constants_of(turning)["/tf"]
+    assert found["base -> link translation"] == "[0.3, 0, 0]"
+    assert "odom -> base translation" not in found
+
+
 EMPTY = {
     "bool_value": False, "integer_value": 0, "double_value": 0.0, "string_value": "",
     "byte_array_value": np.zeros(0, np.uint8), "bool_array_value": np.zeros(0, np.bool_),

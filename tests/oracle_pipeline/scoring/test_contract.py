@@ -85,6 +85,19 @@ def test_a_change_of_a_constant_field_is_a_breach(constants, texts):
     assert Contract.learned(normal[1:]).breaches(seen) == []
 
 
+def test_a_localisation_that_rests_at_other_places_is_no_mount():
+    paths = ("map -> odom translation", "base -> laser translation")
+    moving = replace(NORMAL[1], **with_topic("/tf", "tf2_msgs/msg/TFMessage", (), None))
+    normal = [
+        replace(moving, constants={"/tf": {paths[0]: str(number), paths[1]: "[0.1, 0, 0]"}})
+        for number in range(FEWEST_RECORDINGS)
+    ]
+    seen = replace(moving, constants={"/tf": {paths[1]: "[0.15, 0, 0]"}})
+    assert [each.text for each in Contract.learned(normal).breaches(seen)] == [
+        "Field base -> laser translation of topic /tf is [0.15, 0, 0] instead of [0.1, 0, 0]."
+    ]
+
+
 @given(st.lists(observations, min_size=1, max_size=6))
 def test_a_contract_survives_json(normal):
     contract = Contract.learned(normal)
