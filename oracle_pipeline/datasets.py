@@ -98,9 +98,16 @@ def field_metadata(df: pd.DataFrame) -> dict[str, dict[str, str]]:
 
 
 def feature_floors(df: pd.DataFrame) -> dict[str, float]:
-    """Return the declared resolution of features, in the feature's unit; NaN is undeclared."""
+    """Return the declared resolution of features, in the feature's unit; NaN is undeclared.
+
+    One that is declared as a share of the value is that of the median in this table.
+    """
     fields = field_metadata(df)
     floors = {name: float(field.get("floor", "nan")) for name, field in fields.items()}
+    shares = {name: float(field.get("share", 0.0)) for name, field in fields.items()}
+    for name in (each for each, share in shares.items() if share and each in df):
+        usual = float(df[name].abs().median())
+        floors[name] = np.fmax(floors[name], shares[name] * usual)
     return {name: floor for name, floor in floors.items() if math.isfinite(floor)}
 
 

@@ -432,6 +432,7 @@ def _fields(features: Mapping[str, Feature]) -> dict[str, dict[str, str]]:
         column: {
             "unit": feature.unit,
             "floor": str(feature.floor),
+            "share": str(feature.share),
             "origin": feature.origin,
             "shortcut": str(feature.shortcut).lower(),
             "behaviour": str(feature.behaviour).lower(),

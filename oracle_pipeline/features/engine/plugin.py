@@ -64,6 +64,7 @@ class Feature:
     per_window: bool = True  # False: makes sense for a whole run only
     extensive: bool = False  # grows with the length of a recording: a total or an extreme
     timing: bool = False  # depends on when messages arrived at the recorder, or on how many did
+    share: float = 0.0  # the smallest meaningful difference as a share of the usual value
 
 
 def timed(*features: Feature) -> tuple[Feature, ...]:

@@ -38,17 +38,17 @@ from oracle_pipeline.features.statistics.reduction import (
 _OF = "over the scanners"
 FEATURES = (
     Feature(
-        "smooth", "1", 2e-3,
+        "smooth", "1", 5e-3,
         "share of a scan's returns in long runs of rays that are much smoother (third difference) "
         f"than the scan, 95th percentile, maximum {_OF}", "domain",
     ),
     Feature(
-        "smooth_mean", "1", 2e-3,
+        "smooth_mean", "1", 3e-3,
         "share of a scan's returns in shorter runs of rays that are much smoother (third "
         f"difference) than the scan, mean over the scans, maximum {_OF}", "domain",
     ),
     Feature(
-        "rough", "1", 2e-3,
+        "rough", "1", 5e-3,
         "share of a scan's returns in runs of rays that are much rougher (third difference) than "
         f"the scan, 95th percentile, maximum {_OF}", "domain",
     ),

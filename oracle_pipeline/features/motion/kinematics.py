@@ -119,6 +119,7 @@ _FEWEST = 8  # spans of a comparison
 _LEAST = {TURN: 0.5, TRAVEL: 0.3, SPIN: 3.0}  # total gain needed to estimate a scale
 _OBEYED = 1.5  # times the least residual: limit for a command that the robot may obey
 _EXACT = 5e-3  # residual below which commands cannot be distinguished [unit/s]
+_NO_SCALE = 1e-3  # of a second source that does not follow the first
 _OUTLYING = 4.0  # robust deviations; spans beyond are left out of the fit of scale and lag
 
 
@@ -131,7 +132,9 @@ def _floors(pair: Pair) -> tuple[float, float, float, float]:
         return 0.05, 0.02, 0.05, 0.02
     if PLACE in pair:
         return 5e-3, 0.02, 0.02, 5e-3
-    return (5e-3, 5e-3, 2e-3, 5e-3) if SCAN in pair else (2e-3, 5e-3, 2e-3, 1e-3)
+    if pair.quantity == SPIN:
+        return 2e-3, 0.02, 0.02, 5e-3
+    return (5e-3, 0.02, 2e-3, 5e-3) if SCAN in pair else (2e-3, 0.02, 2e-3, 1e-3)
 
 
 def _features() -> Iterator[Feature]:
@@ -183,6 +186,7 @@ class _PairedGains:
     first: Points
     first_slope: Points  # derivative of the first's gains by the time of the spans [1/s]
     second: Points
+    unit: float  # of the first's gains in one of the second's: 1 m, or the radius of a wheel
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,13 +330,14 @@ def _compared(found: MotionSources, pair: Pair) -> Iterator[tuple[str, _PairedGa
         for topic, second in seconds.items():
             if pair.quantity == SPIN and topic != first.topic:  # other joints
                 continue
-            compared = _comparison(pair.quantity, first, second)
+            compared = _comparison(pair, first, second)
             if compared is not None and len(compared.times_s) >= _FEWEST:
                 place = topic if first.topic == topic else f"{first.topic} against {topic}"
                 yield place, compared
 
 
-def _comparison(quantity: str, first: Motion, second: Motion | Steps) -> _PairedGains | None:
+def _comparison(pair: Pair, first: Motion, second: Motion | Steps) -> _PairedGains | None:
+    quantity = pair.quantity
     if isinstance(second, Steps):
         from_s, to_s = second.from_s, second.to_s
         turned = np.asarray(second.turned, dtype=np.complex128)
@@ -349,9 +354,10 @@ def _comparison(quantity: str, first: Motion, second: Motion | Steps) -> _Paired
     slopes = slope(first, quantity, from_s, to_s)
     known = np.isfinite(ours) & np.isfinite(gained) & np.isfinite(slopes)
     times_s = np.interp(to_s, first.stamps_s, first.times_s)
-    return _PairedGains(
-        times_s[known], (to_s - from_s)[known], ours[known], slopes[known], gained[known]
-    )
+    ours, slopes, gained = ours[known], slopes[known], gained[known]
+    scale = fit(ours, slopes, gained)[0] if pair.second == JOINTS else 1.0
+    unit = 1.0 / abs(scale) if abs(scale) > _NO_SCALE else 1.0
+    return _PairedGains(times_s[known], (to_s - from_s)[known], ours, slopes, gained, unit)
 
 
 def _fitted(pair: Pair, compared: _PairedGains, window: Window) -> Fit:
@@ -360,7 +366,10 @@ def _fitted(pair: Pair, compared: _PairedGains, window: Window) -> Fit:
     first, slopes, second = compared.first[part], compared.first_slope[part], compared.second[part]
     if len(first) < _FEWEST:
         return Fit()
-    return Fit(*agreement(first, slopes, second, compared.lengths_s[part], _LEAST[pair.quantity]))
+    lengths_s, least = compared.lengths_s[part], _LEAST[pair.quantity]
+    found = Fit(*agreement(first, slopes, second, lengths_s, least))
+    unit = compared.unit
+    return found._replace(residual=found.residual * unit, drift=found.drift * unit)
 
 
 def _obeyed(fits: Mapping[str, Fit]) -> dict[str, Fit]:

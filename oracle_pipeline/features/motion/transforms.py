@@ -31,7 +31,7 @@ from oracle_pipeline.features.statistics.times import nearest
 _TOPICS = "over the topics and transforms"
 FEATURES = (
     Feature(
-        "odometry_position", "m", 1e-3,
+        "odometry_position", "m", 5e-3,
         "distance between the pose of odometry and its transform with the same stamp, 95th "
         f"percentile, maximum {_TOPICS}", "domain",
     ),

@@ -53,7 +53,7 @@ _COMMAND_FEATURES = timed(
         behaviour=True,
     ),
     Feature(
-        "command_jerk", "m/s^3", 0.1, "mean absolute jerk of the commanded linear velocity",
+        "command_jerk", "m/s^3", 1.0, "mean absolute jerk of the commanded linear velocity",
         "navigation",
         behaviour=True,
     ),
@@ -126,7 +126,9 @@ def _compute_commands(window: Window) -> Values | Missing:
     ((times_s, commands),) = window.topics["commands"].values()
     if len(times_s) < 3:
         return Missing("fewer than three velocity commands")
-    interval_s = float(np.median(np.diff(times_s)))
+    intervals_s = np.diff(times_s)
+    together = intervals_s <= 2.0 * np.median(intervals_s)  # without the pauses between goals
+    interval_s = float(intervals_s[together].mean())
     if interval_s <= 0.0:
         return Missing("the velocity commands have no time between them")
     jerk, angular_jerk = np.abs(np.diff(commands, 2, axis=0)).mean(axis=0) / interval_s**2

@@ -43,7 +43,7 @@ FEATURES = timed(
     ),
     *(
         Feature(
-            f"{name}_jitter", "s", 2e-3,
+            f"{name}_jitter", "s", 5e-3,
             f"median absolute deviation of the latency of {msgtype.rpartition('/')[2]} messages, "
             "maximum over the topics", "domain",
         )
@@ -56,13 +56,14 @@ FEATURES = timed(
     ),
     Feature(
         "late", "1", 0.05,
-        "share of the messages whose latency is a period or more above the topic's median, maximum "
-        "over the topics of sensors", "domain",
+        "share of the messages whose latency is a period, and 25 ms, or more above the topic's "
+        "median, maximum over the topics of sensors", "domain",
     ),
 )  # fmt: skip
 
 _KINDS = {msgtype: name for name, msgtype in SENSORS.items()}
 _FEWEST = 5  # messages of a compared topic
+_LATE_S = 0.025  # more than a recorder or a loaded machine holds messages
 _ANOTHER_CLOCK_S = 3600.0  # least difference of stamps that are of another clock, or not set
 
 
@@ -90,7 +91,10 @@ def compute(window: Window) -> Values | Missing:
         {t: each[1] for t, each in periods.items()}, "the header stamps do not increase"
     )
     values["late"] = largest(
-        {t: float(np.mean(each - usual[t] >= periods[t][0])) for t, each in held.items()},
+        {
+            topic: float(np.mean(each - usual[topic] >= np.maximum(periods[topic][0], _LATE_S)))
+            for topic, each in held.items()
+        },
         "the header stamps do not increase",
     )
     return values

@@ -38,6 +38,7 @@ from oracle_pipeline.features.statistics.reduction import (
 
 _FEWEST = 20  # messages of a steady topic
 _STEADY_JITTER = 0.2  # largest jitter of a steady topic
+_USUAL_SHARE = 0.05  # of a rate, which a queue or another machine loses
 _STEADY_SHARE = 0.9  # of the recording, which its messages cover at their median period
 
 _SAMPLED_S = 2.5  # between the sampled messages
@@ -61,16 +62,16 @@ def _features(
 
 
 _TIMING_FEATURES = timed(
-    Feature("message_rate", "1/s", 1.0, "messages of all topics per second"),
-    Feature("byte_rate", "B/s", 100.0, "bytes of all topics per second"),
+    Feature("message_rate", "1/s", 1.0, "messages of all topics per second", share=_USUAL_SHARE),
+    Feature("byte_rate", "B/s", 100.0, "bytes of all topics per second", share=_USUAL_SHARE),
     Feature("silent_topics", "1", 0.01, "share of the topics without messages"),
     Feature(
-        "steady_topics", "1", 0.01,
+        "steady_topics", "1", 0.05,
         "share of the topics that publish at a steady rate from start to end", per_window=False,
         extensive=True,
     ),
     *_features(
-        "jitter", "1", 0.01,
+        "jitter", "1", 0.05,
         "median absolute deviation of the time between messages over its median, steady topics",
         per_window=False,
     ),
@@ -95,7 +96,7 @@ _ARRAY_FEATURES = (
     *_features("non_finite", "1", 1e-3, "share of inf and NaN in an array, median"),
     *_features("at_limit", "1", 0.01, "share of an array equal to its maximum or minimum, median"),
     *_features("distinct", "1", 0.1, "share of distinct numbers in an array, median"),
-    *_features("autocorrelation", "1", 1e-3, "lag-1 autocorrelation along an array, median"),
+    *_features("autocorrelation", "1", 5e-3, "lag-1 autocorrelation along an array, median"),
     *_features("roughness", "1", 1e-3, "second difference along an array over its values, median"),
 )
 

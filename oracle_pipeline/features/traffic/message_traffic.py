@@ -31,7 +31,10 @@ _Flows: TypeAlias = Mapping[Edge, int]  # messages or bytes by edge
 FEATURES = timed(
     Feature("flow_entropy", "nat", 0.01, "Shannon entropy of the edges' shares of all messages"),
     Feature("byte_flow_entropy", "nat", 0.01, "Shannon entropy of the edges' shares of all bytes"),
-    Feature("flow_variance", "1", 0.01, "variance of the edges' message counts / squared mean"),
+    Feature(
+        "flow_variance", "1", 0.01, "variance of the edges' message counts / squared mean",
+        share=0.01,
+    ),
     Feature("largest_flow", "1", 1e-3, "largest share of all messages on a single edge"),
     Feature("largest_byte_flow", "1", 1e-3, "largest share of all bytes on a single edge"),
     Feature(

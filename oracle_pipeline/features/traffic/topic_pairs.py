@@ -38,20 +38,20 @@ from oracle_pipeline.features.statistics.reduction import largest, mean, quantil
 
 FEATURES = (
     Feature(
-        "rank_difference_max", "1", 1e-3,
+        "rank_difference_max", "1", 5e-3,
         "1 - Spearman's correlation between the arrays of two topics, mean, maximum over the pairs",
     ),
     Feature(
-        "rank_difference_min", "1", 1e-3,
+        "rank_difference_min", "1", 5e-3,
         "1 - Spearman's correlation between the arrays of two topics, mean, minimum over the pairs",
     ),
     Feature(
-        "histogram_distance", "1", 1e-3,
+        "histogram_distance", "1", 2e-3,
         "Wasserstein-1 distance between the numbers of two topics, over the range of all numbers "
         "of the type, maximum over the pairs",
     ),
     Feature(
-        "roughness_ratio", "1", 0.1, "abs(ln) of two topics' ratio of median roughness, maximum"
+        "roughness_ratio", "1", 0.3, "abs(ln) of two topics' ratio of median roughness, maximum"
     ),
     *timed(Feature("rate_ratio", "1", 0.05, "abs(ln) of two topics' ratio of messages, maximum")),
     Feature(

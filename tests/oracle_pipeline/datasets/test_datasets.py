@@ -45,6 +45,14 @@ def test_columns_are_found_by_family():
     assert feature_floors(CAMPAIGN) == {"structural.density": 1e-4, "contextual.duration": 0.1}
 
 
+def test_a_floor_may_be_a_share_of_the_usual_value():
+    rates = pd.DataFrame({"generic.message_rate": [700.0, 720.0, np.nan, 40.0]})
+    for share, floor in (("0.05", 35.0), ("0.0", 1.0)):
+        declared = {"unit": "1/s", "floor": "1.0", "share": share}
+        rates.attrs["fields"] = {"generic.message_rate": declared}
+        assert feature_floors(rates) == {"generic.message_rate": floor}
+
+
 def test_a_feature_that_a_run_lacks_is_nan_if_there_is_a_reason():
     first, second = each_run(CAMPAIGN)[:2]
     second = second.drop(columns="structural.entropy")

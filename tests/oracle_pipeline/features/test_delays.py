@@ -1,8 +1,16 @@
 import numpy as np
 import pytest
 
+from oracle_pipeline.bags.types import message_class
 from oracle_pipeline.features.traffic import delays
-from tests.oracle_pipeline.features.scenery import Scanner, driving, extract, recording
+from tests.oracle_pipeline.features.scenery import (
+    Scanner,
+    driving,
+    extract,
+    header,
+    quaternion,
+    recording,
+)
 
 PLUGINS = delays.register_features()
 
@@ -51,6 +59,20 @@ def test_stamps_that_are_not_set_or_of_another_clock_are_not_compared(extracted,
     assert values["scan_latency"] == pytest.approx(0.0, abs=1e-6)
     assert where["scan_latency"] == "/scan"
     assert values["late"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_recorder_that_writes_now_and_then_makes_no_message_late(extracted):
+    recorded = recording([Scanner("/scan")], driving)
+    times_s = np.arange(0.0, 5.0, 0.005)
+    imu = message_class("sensor_msgs/msg/Imu")
+    zero, nine = message_class("geometry_msgs/msg/Vector3")(0.0, 0.0, 0.0), np.zeros(9)
+    recorded += [
+        (t, "/imu", imu(header(t, "imu"), quaternion(0.0), nine, zero, nine, zero, nine))
+        for t in times_s.tolist()
+    ]
+    written = [(np.ceil(t / 0.02) * 0.02, *rest) for t, *rest in recorded]
+    values, *_ = extracted(sorted(written, key=lambda each: each[0]))
+    assert values["late"] == 0.0
 
 
 def test_uneven_delays_are_jitter_and_long_ones_late(extracted):

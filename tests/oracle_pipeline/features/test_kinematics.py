@@ -175,6 +175,22 @@ def test_five_per_cent_in_one_stream_are_measured_in_its_pairs(
             assert change == pytest.approx(sign * np.log(1.05), abs=0.012), column
 
 
+def test_wheels_that_slip_now_and_then_are_off_in_metres_whatever_their_radius(tmp_path):
+    steps = 0.004 * np.sin(7.0 * TIMES_S)  # [m]; a slip comes and goes
+    residuals = []
+    for name, radius in (("small", 1.0), ("large", 5.0)):
+        recorded, slipped = robot(wheels=1.0 / radius), iter(steps)
+        for _, topic, message in recorded:
+            if topic == "/joints":
+                message.position = message.position + next(slipped) / RADIUS_M / radius
+                message.velocity = np.zeros(0)
+        values, *_ = extract(PLUGINS, recorded, tmp_path / name)
+        residuals.append(values["travel_residual_pose_joints"])
+    assert residuals[0] == pytest.approx(residuals[1], rel=0.05)
+    slipped = np.diff(np.interp(np.arange(0.0, SECONDS, 0.4), TIMES_S, steps)) / 0.4
+    assert residuals[0] == pytest.approx(np.std(slipped), rel=0.3)
+
+
 def test_a_stream_that_is_late_lags(extracted):
     values, where, _ = extracted(late_s=0.15)
     assert values["turn_lag_pose_gyro"] == pytest.approx(0.15, abs=0.02)

@@ -92,6 +92,17 @@ def test_stops_and_slowdowns_of_the_collision_monitor(extracted):
     assert values["command_zero"] == pytest.approx(0.2)
 
 
+def test_commands_have_the_same_jerk_whatever_the_recorder_does_to_their_times(extracted):
+    found = []
+    for grid_s in (1e-6, 0.02):
+        sent = [
+            (float(np.ceil(t * 0.055 / grid_s) * grid_s), "/cmd_vel", twist(0.1 * (t % 2), 0.0))
+            for t in range(100)
+        ]
+        found.append(extracted(velocity, sent)[0]["command_jerk"])
+    assert found[0] == pytest.approx(found[1], rel=0.02)
+
+
 def test_commands_without_a_monitor(extracted):
     # The turn goes +1, -1, +1, ... a command each 0.1 s: 9 reversals within a second.
     sent = [(t / 10, "/cmd_vel", twist(0.0, (-1.0) ** t)) for t in range(10)]
