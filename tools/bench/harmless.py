@@ -74,7 +74,8 @@ def lost(share: float) -> Change:
 
 def holed(ranges: Any, _: Any) -> Any:
     """Return ranges without the returns of some rays, others in each scan, as of dust."""
-    return np.where(np.arange(len(ranges)) * 97 % 211 == int(ranges[0] * 1e4) % 211, np.inf, ranges)
+    first = int(np.nansum(ranges[np.isfinite(ranges)]) * 1e4)
+    return np.where((np.arange(len(ranges)) * 97 + first) % 211 == 0, np.inf, ranges)
 
 
 def further(ranges: Any, _: Any) -> Any:
