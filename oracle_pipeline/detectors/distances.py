@@ -51,7 +51,7 @@ class BeyondRange(OwnDetector):
         The range.
     """
 
-    def __init__(self, count: int = 30) -> None:
+    def __init__(self, count: int = 1) -> None:
         self.count = count
 
     def _learn(self, X: NDArray[np.float64]) -> None:

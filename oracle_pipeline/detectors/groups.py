@@ -18,7 +18,10 @@ from oracle_pipeline.detectors.base import OwnDetector
 MOST_COMPONENTS = 12  # directions of a group whose variances are kept
 LEAST_SHARE = 0.5  # of the standard deviation: smallest scale
 OF_CONSTANT = 5.0  # scales that a change of a constant counts for
-OF_OWN = {"change": ("change", 0.05)}  # least scales of statistics, in the usual one of a signal
+OF_OWN = {  # least scales of statistics, in the usual one of a signal
+    "mean": ("std", 0.005), "std": ("std", 0.005), "min": ("std", 0.005), "max": ("std", 0.005),
+    "change": ("change", 0.05),
+}  # fmt: skip
 OF_PERIODS = {  # the same, of the time between messages
     "mean": ("mean", 0.5), "std": ("mean", 2.0), "min": ("mean", 2.0), "max": ("mean", 10.0),
     "change": ("mean", 1.0),

@@ -46,10 +46,10 @@ from oracle_pipeline.scoring.contract_file import card_schema
 from oracle_pipeline.scoring.cross_conformal import SEED, CrossConformalScorer
 from oracle_pipeline.scoring.isolation import Limits, run_isolated
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.scoring.run_scorer import Design, RunScorer
+from oracle_pipeline.scoring.run_scorer import BEYOND, Design, RunScorer
 from oracle_pipeline.scoring.verdict import CardOrigin
 
-VERSION = 7  # of the card format and of the windowing it was learned with
+VERSION = 8  # of the card format and of the windowing it was learned with
 SUFFIX = ".card"
 _FACTS, _RUNS, _MODELS = "card.json", "runs.parquet", "models.parquet"
 _WINDOWS = "windows.parquet"
@@ -385,8 +385,8 @@ def _restored(state: Mapping[str, Any], floors: Mapping[str, float]) -> Pipeline
 
 
 def _restored_detector(state: Mapping[str, Any]) -> BeyondRange | LargestGroup | Mahalanobis:
-    if state["low"] is not None:
-        of_range = BeyondRange()
+    if state["low"] is not None and state["level"] in BEYOND:
+        of_range = BeyondRange(BEYOND[state["level"]])
         of_range.low_, of_range.high_ = np.array(state["low"]), np.array(state["high"])
         of_range.n_features_in_ = len(of_range.low_)
         return of_range

@@ -18,7 +18,7 @@ from oracle_pipeline.detectors import BeyondRange, LargestGroup, SignalScaler, e
 from oracle_pipeline.scoring.alarms import RATE_PER_H, NormalWindows
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.scoring.run_scorer import OF_WINDOWS
+from oracle_pipeline.scoring.run_scorer import BEYOND, OF_WINDOWS
 
 TOLERANCE = 1e-3  # of a score that another processor computes, relative
 _FAR = 1e30  # beyond the clip of any scaler
@@ -136,7 +136,7 @@ def _check_scores(scorer: CrossConformalScorer, runs: pd.DataFrame) -> None:
     standard = (scores - scorer.centre_) / scorer.spread_
     _check_held_out(scorer, standard[scorer.fold_, row])
     far = standard[:, len(runs) :]
-    sees = np.array([level != "range" for level in scorer.levels_])  # blind with few recordings
+    sees = np.array([level not in BEYOND for level in scorer.levels_])  # blind with few recordings
     notices = (np.median(far, axis=0).max(axis=0)[sees] > 0.0).all()
     notices &= scorer.p_values(far.max(axis=2)).min() <= 0.5
     notices &= scorer.windows_ is None or alarms.max() > np.median(scorer.windows_.scores)

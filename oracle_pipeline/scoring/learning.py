@@ -29,12 +29,20 @@ from oracle_pipeline.scoring.cross_conformal import SEED, CrossConformalScorer
 from oracle_pipeline.scoring.feature_sets import ASPECTS, feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.reference import Reference, read_reference
-from oracle_pipeline.scoring.run_scorer import OF_FEATURES, OF_SIGNALS, PLAIN, Design, common_length
+from oracle_pipeline.scoring.run_scorer import (
+    OF_FEATURES,
+    OF_SIGNALS,
+    OF_WINDOWS,
+    PLAIN,
+    Design,
+    common_length,
+)
 from oracle_pipeline.scoring.selection import counted, without_odd
 from oracle_pipeline.scoring.verdict import CardOrigin, ScoringError
 
 DISTRIBUTION = "ros2-behaviour-oracle"
 LONG = 20  # windows of a recording; in a shorter one, signals of the whole show a short fault
+FEWEST_IN_RANGE = 10  # recordings; the range of fewer says little of one signal alone
 COMMON_SIGNAL = 0.8  # least share of the rows in which a signal is, to be compared
 OF_SETTING = 0.2  # a signal that changes less in a recording than this, of what these differ by
 WINDOWS_UNKNOWN = (
@@ -152,10 +160,19 @@ def _with_signals(of_features: Design, runs: MeasuredRuns) -> Design:
     fields = field_metadata(runs.features)
     knows_robot = any(fields[c].get("origin") != "generic" for c in of_features.run_features)
     is_long = common_length(runs.counts) >= LONG
-    levels = (*(OF_FEATURES if knows_robot else ()), *OF_SIGNALS[: 4 if is_long else 3])
+    known = OF_FEATURES if knows_robot else ()
+    of_signals = tuple(
+        level
+        for level in OF_SIGNALS
+        if (is_long or level not in OF_WINDOWS)
+        and (len(runs.counts) >= FEWEST_IN_RANGE or level != "farthest")
+    )
     window_signals = common_signals(runs.windows, settings) if is_long else ()
     return replace(
-        of_features, run_signals=run_signals, window_signals=window_signals, levels=levels
+        of_features,
+        run_signals=run_signals,
+        window_signals=window_signals,
+        levels=(*known, *of_signals),
     )
 
 

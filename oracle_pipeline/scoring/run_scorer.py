@@ -2,8 +2,8 @@
 
 These are levels with a score each. ``oracle_pipeline.scoring.cross_conformal`` combines them into
 one score and a p-value. Features are known quantities; signals are the numbers of any robot. Those
-count by their largest distance of any topic, by the distance over all topics, and by how far the
-farthest are beyond their range in normal runs.
+count by their largest distance of any topic, by the distance over all topics, and by how far some,
+and the farthest one alone, are beyond their range in normal runs.
 
 A window also has a score of its own for alarms: how far its most unusual features are beyond what
 normal windows reach. In a distance over all features, the few that a short attack changes are lost
@@ -26,11 +26,13 @@ from oracle_pipeline.detectors import BeyondRange, Detector, LargestGroup, Signa
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 OF_FEATURES = ("run", "windows")
-WHOLE_SIGNALS = ("signals", "topics", "range")
+BEYOND = {"range": 30, "farthest": 1}  # how many signals beyond their range count
+WHOLE_SIGNALS = ("signals", "topics", *BEYOND)
 OF_SIGNALS = (*WHOLE_SIGNALS, "signal windows")
 _BY_TOPIC = ("topics", "signal windows")
 PLAIN = "plain"  # level of a detector that a user named, alone
 PLAIN_STATISTICS = ("mean", "std", "min", "max", "change")  # of signals, for it and for "range"
+STEADY_STATISTICS = ("mean", "std", "change")  # for "farthest": extremes are far by chance
 OF_WINDOWS = ("windows", "signal windows")  # levels of windows; all others are of whole runs
 TOP_WINDOWS = 6  # number of highest window scores that are averaged for a run
 TOP_FEATURES = 3  # number of a window's most unusual features that are averaged for alarms
@@ -86,6 +88,8 @@ class Design:
         """Return the columns of a level."""
         if level in (PLAIN, "range"):
             return [c for c in self.run_signals if c.rpartition(".")[2] in PLAIN_STATISTICS]
+        if level == "farthest":
+            return [c for c in self.run_signals if c.rpartition(".")[2] in STEADY_STATISTICS]
         if level in OF_SIGNALS:
             return self.window_signals if level in OF_WINDOWS else self.run_signals
         return self.window_features if level in OF_WINDOWS else self.run_features
@@ -208,8 +212,10 @@ class RunScorer:
         scaler = SignalScaler(self.design.floors).fit(table)
         topics = [topic_of_signal(column) for column in scaler.kept_]
         detector: Detector = LargestGroup(topics if level in _BY_TOPIC else None)
-        if level in (PLAIN, "range"):
-            detector = clone(self.design.detector) if level == PLAIN else BeyondRange()
+        if level in BEYOND:
+            detector = BeyondRange(BEYOND[level])
+        elif level == PLAIN:
+            detector = clone(self.design.detector)
         return Pipeline([("scaler", scaler), ("detector", detector.fit(scaler.transform(table)))])
 
     def _distances(self, windows: pd.DataFrame) -> NDArray[np.float64]:

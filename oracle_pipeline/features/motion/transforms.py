@@ -52,13 +52,13 @@ FEATURES = (
     ),
     Feature(
         "odometry_jump", "m", 5e-3,
-        "distance of a pose of odometry from the midpoint of its two neighbours, maximum over the "
-        "messages and topics", "domain",
+        "distance of a pose of odometry from where its two neighbours say that it is, maximum "
+        "over the messages and topics", "domain",
     ),
     Feature(
         "odometry_yaw_jump", "rad", 5e-3,
-        "yaw difference of a pose of odometry from the middle of its two neighbours, maximum over "
-        "the messages and topics", "domain",
+        "yaw difference of a pose of odometry from what its two neighbours say, maximum over the "
+        "messages and topics", "domain",
     ),
 )  # fmt: skip
 
@@ -96,7 +96,7 @@ def prepare(window: Window) -> _Prepared:
         stamps, children, *columns = zip(*series.values, strict=True)
         stamps_s, pose = np.array(stamps), PlanarPose.of(*map(np.array, columns))
         if len(stamps_s) > 2:
-            jumps[topic] = _jumps(series.times_s, pose)
+            jumps[topic] = _jumps(series.times_s, stamps_s, pose)
         for (parent, child), edge in moving.items():
             if child != children[0]:
                 continue
@@ -157,10 +157,13 @@ def _apart(times_s: Floats, one: PlanarPose, other: PlanarPose) -> _Apart:
     )
 
 
-def _jumps(times_s: Floats, pose: PlanarPose) -> _Apart:
-    """Return the distance of each pose from the mean of its neighbours."""
+def _jumps(times_s: Floats, stamps_s: Floats, pose: PlanarPose) -> _Apart:
+    """Return the distance of each pose from where its neighbours say that it is at its stamp."""
     shift, yaw = pose.translation, np.unwrap(np.angle(pose.rotation))
-    place, turn = (np.abs(v[1:-1] - 0.5 * (v[:-2] + v[2:])) for v in (shift, yaw))
+    between_s, weight = stamps_s[2:] - stamps_s[:-2], np.full(len(stamps_s) - 2, 0.5)
+    np.divide(stamps_s[1:-1] - stamps_s[:-2], between_s, out=weight, where=between_s > 0.0)
+    weight = np.clip(weight, 0.0, 1.0)
+    place, turn = (np.abs(v[1:-1] - v[:-2] - weight * (v[2:] - v[:-2])) for v in (shift, yaw))
     return _Apart(Series(times_s[1:-1], place), Series(times_s[1:-1], turn))
 
 

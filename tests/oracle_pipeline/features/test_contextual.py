@@ -9,7 +9,7 @@ from oracle_pipeline import features
 from oracle_pipeline.features.engine.plugin import Series, Window
 from oracle_pipeline.features.lidar import laser_ranges
 from oracle_pipeline.features.motion import odometry
-from oracle_pipeline.features.navigation.goals import goals_of_log
+from oracle_pipeline.features.navigation.goals import RootChange, goals_of_log
 from oracle_pipeline.opened_run import open_run
 from tests.oracle_pipeline.features.rows import columns_of
 
@@ -135,27 +135,47 @@ def test_times_of_goals_come_from_the_tree_if_the_status_is_hidden(bag_of, messa
     assert values["time_per_planned_metre"] == pytest.approx(7.0 / 5.0)
 
 
+I, R, S, F = "IDLE", "RUNNING", "SUCCESS", "FAILURE"  # noqa: E741 -- as short as in a diagram
+
+
 @pytest.mark.parametrize(
-    ("states", "expected"),
+    ("changes", "ends_s", "expected"),
     [
-        ([(0, "RUNNING"), (4, "IDLE", "SUCCESS")], [(0, 4, True)]),  # as Nav2 logs it
-        ([(0, "RUNNING"), (4, "IDLE", "FAILURE"), (5, "IDLE")], [(0, 4, False)]),
-        ([(0, "RUNNING"), (4, "SUCCESS", "IDLE")], [(0, 4, True)]),
-        ([(0, "RUNNING"), (4, "IDLE")], [(0, 4, False)]),  # cancelled
-        ([(0, "RUNNING")], [(0, None, False)]),
-        ([(3, "SUCCESS")], [(3, 3, True)]),
-        ([(0, "RUNNING"), (4, "IDLE", "SUCCESS", "IDLE", "RUNNING")],
-         [(0, 4, True), (4, None, False)]),
-        ([(0, "RUNNING"), (2, "RUNNING"), (4, "IDLE"), (6, "RUNNING"), (7, "IDLE", "SUCCESS")],
-         [(0, 4, False), (6, 7, True)]),
-        ([(0, "IDLE")], []),
+        ([(1, I + R), (4, R + I, I + S)], 4, [(1, 4, True)]),  # as Nav2 logs it
+        ([(1, I + R), (4, R + I, I + F), (4.2, F + I)], 4, [(1, 4, False)]),
+        ([(1, I + R), (4, R + S, S + I)], 4, [(1, 4, True)]),
+        ([(1, I + R), (4, R + I)], 4, [(1, 4, False)]),  # cancelled
+        ([(1, I + R)], 4, [(1, None, False)]),
+        ([(3, I + S)], 3, [(3, 3, True)]),
+        ([(1, I + R), (4, R + I, I + S, S + I, I + R)], 6, [(1, 4, True), (4, None, False)]),
+        ([], 4, [(0, None, False)]),  # it runs all the time
+        ([], 0, []),
+        ([(4, R + I, I + S)], 4, [(0, 4, True)]),  # it ran when the recording began
+        ([(1, I + R), (5, S + I, I + R)], 7, [(1, 4, True), (5, None, False)]),  # an end is lost
+        ([(1, I + R), (3, R + I, I + S), (6, R + I, I + S)], 6,
+         [(1, 3, True), (4, 6, True)]),  # a beginning is lost
+        ([(1, I + R), (3, R + I, I + S)], 7, [(1, 3, True), (4, None, False)]),  # the same
     ],
 )  # fmt: skip
-def test_goals_are_those_of_the_root_of_the_tree(states, expected):
-    times = np.array([time for time, *_ in states], dtype=float)
-    log = np.fromiter((rest for _, *rest in states), dtype=object, count=len(states))
-    goals = goals_of_log(Series(times, log))
+def test_goals_are_those_of_the_root_of_the_tree(changes, ends_s, expected):
+    goals = goals_of_log(log_of(changes), np.arange(1.0, ends_s + 1.0))
     assert [(g.accepted_s, g.ended_s, g.reached) for g in goals] == expected
+
+
+def test_messages_of_the_tree_may_come_in_another_order():
+    ordered = [(1, I + R), (3, R + I, I + S), (4, S + I, I + R), (6, R + I, I + S)]
+    log = log_of(ordered)
+    swapped = Series(np.array([1.0, 3.002, 3.001, 6.0]), log.values)
+    goals = goals_of_log(swapped, swapped.times_s)
+    assert [goal.reached for goal in goals] == [True, True]
+
+
+def log_of(changes):
+    """Return what is kept of messages, each (time, former and new state of the root, ...)."""
+    pairs = {a + b: (a, b) for a in (I, R, S, F) for b in (I, R, S, F)}
+    kept = [[RootChange(time, *pairs[each]) for each in rest] for time, *rest in changes]
+    values = np.fromiter(kept, dtype=object, count=len(kept))
+    return Series(np.array([time for time, *_ in changes], dtype=float), values)
 
 
 def test_times_of_goals_come_from_the_status_if_it_is_recorded(bag_of, messages):
@@ -177,6 +197,25 @@ def test_times_of_goals_come_from_the_status_if_it_is_recorded(bag_of, messages)
     assert values["duration"] == pytest.approx(6.0)
     assert values["goals_reached"] == pytest.approx(0.5)
     assert values["time_per_planned_metre"] == "no plan is recorded"
+
+
+@pytest.mark.parametrize(
+    ("told", "duration", "reached"),
+    [
+        ([(4.0, (1, 4)), (5.0, (1, 4), (2, 1)), (8.0, (2, 4))], 4.0 + 3.0, 1.0),  # began under way
+        ([(1.0, (1, 1)), (4.0, (1, 4)), (8.0, (1, 4), (2, 4))], 3.0 + 4.0, 1.0),  # one was lost
+        ([(1.0, (1, 1)), (4.0, (1, 4)), (6.0, (1, 4), (2, 1))], 3.0 + 2.0, 1.0),  # ended under way
+        ([(1.0, (1, 1)), (2.0, (1, 4)), (3.0, (1, 4), (2, 1))], 1.0 + 5.0, 0.5),  # takes too long
+    ],
+)
+def test_a_recording_may_lack_the_beginning_or_end_of_goals(
+    bag_of, messages, told, duration, reached
+):
+    status, topic = messages.goal_status, "/navigate_to_pose/_action/status"
+    scans = [(t, "/scan", messages.scan(t, [1.0])) for t in (0.0, 8.0)]
+    values = of_run(bag_of([*scans, *((t, topic, status(t, *rest)) for t, *rest in told)]))
+    assert values["duration"] == pytest.approx(duration)
+    assert values["goals_reached"] == pytest.approx(reached)
 
 
 def test_without_navigation_there_is_a_reason(bag_of, messages):
