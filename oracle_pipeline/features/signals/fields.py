@@ -157,10 +157,15 @@ def _summaries(arrays: Any) -> Floats:
 def _elements(
     elements: Columns, store: Typestore, msgtype: str, path: str, count: int
 ) -> Iterator[_Field]:
-    """Yield the length of a sequence of messages, and the means of their numbers."""
+    """Yield the length of a sequence of messages, and the means of their numbers.
+
+    Transforms have others: how many are in a message depends on whose message comes next.
+    """
+    if _is_transform(store, msgtype):
+        return
     sizes = np.bincount(elements.owners, minlength=count).astype(np.float64)
     yield f"{path}.length", "1", sizes
-    if _is_transform(store, msgtype) or not len(elements):
+    if not len(elements):
         return
     for name, (kind, what) in store.fielddefs[msgtype][1]:
         if kind == Nodetype.BASE and what[0] != "string":
