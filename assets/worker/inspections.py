@@ -151,7 +151,7 @@ def observe(run: RunDirectory) -> Observation:
         robot = only_robot(opened)
         observer = Observer(robot.bag)
         recording = KeptMessages.read(robot, (), see=observer.see)
-        return interfaces(observer, opened, robot, (recording.duration_ns - 1) * 1e-9)
+        return interfaces(observer, opened, robot, recording.clock)
 
 
 _INSPECTIONS = {

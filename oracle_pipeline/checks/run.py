@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from oracle_pipeline.checks import times, values
-from oracle_pipeline.checks.topic import CheckedTopic, Fault, read_topics, topics_of
+from oracle_pipeline.checks.topic import CheckedTopic, Fault, topics_of
 from oracle_pipeline.features.engine.kept_messages import KeptMessages
 from oracle_pipeline.features.signals.collector import SignalCollector
 from oracle_pipeline.opened_run import open_run
@@ -50,22 +50,25 @@ def check_recording(path: Path, *, strict: bool = False) -> list[Fault]:
         losses = [loss.rstrip(".") for loss in run.bag.losses]
         faults = [Fault("lost", "", "", 0.0, 0.0, 1.0, "1", 1, loss) for loss in losses]
         for robot in find_robots(run.bag):
-            faults += _faults(read_topics(robot))
+            collector = SignalCollector(robot)
+            recording = KeptMessages.read(robot, (), see=collector.see)
+            faults += _faults(recording, collector)
     return sorted(faults, key=_order)
 
 
 @np.errstate(invalid="ignore")
 def fault_sentences(recording: KeptMessages, collector: SignalCollector) -> list[str]:
     """Return the faults of a recording that was read for its features, as sentences."""
-    found = sorted(_faults(topics_of(recording, collector)), key=_order)
+    found = sorted(_faults(recording, collector), key=_order)
     told = [f"Check: {fault.topic or 'all topics'}: {fault.text}." for fault in found[:_MOST_TOLD]]
     more = [f"`oracle check` tells {len(found) - _MOST_TOLD} more."] if found[_MOST_TOLD:] else []
     return [*told, *more]
 
 
-def _faults(topics: list[CheckedTopic]) -> list[Fault]:
+def _faults(recording: KeptMessages, collector: SignalCollector) -> list[Fault]:
+    topics = topics_of(recording, collector)
     found = [f for topic in topics for check in CHECKS.values() for f in check(topic)]
-    return _joined_gaps(found, topics)
+    return [*times.steps_back(recording.clock.set_back), *_joined_gaps(found, topics)]
 
 
 def _order(fault: Fault) -> tuple[float, str, str]:

@@ -1,6 +1,6 @@
-"""Checks of when messages came: gaps, late bursts, and stamps that go back."""
+"""Checks of when messages came: gaps, late bursts, stamps and clocks that go back."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -51,6 +51,13 @@ def stamps(topic: CheckedTopic) -> Iterator[Fault]:
             "stamp", topic.name, "header.stamp", _spans(topic, found), back[found] * 1e-9, "s",
             "the stamp goes back by {size} s at {at}, {count} times in all",
         )  # fmt: skip
+
+
+def steps_back(set_back: Iterable[tuple[float, float]]) -> Iterator[Fault]:
+    """Tell when the recorder's clock was set back: `Timeline.set_back`."""
+    for at_s, by_s in set_back:
+        text = f"the recorder's clock was set back by {by_s:.4g} s at {at_s:.2f} s"
+        yield Fault("clock", "", "", at_s, at_s, by_s, "s", 1, text)
 
 
 def _steps(topic: CheckedTopic) -> tuple[Floats, float]:

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from oracle_pipeline.features.engine.kept_messages import NO_GRAPH, KeptMessages
 from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.signals.collector import SignalCollector, Signals
-from oracle_pipeline.robots.robot import Robot
 
 Floats = NDArray[np.float64]
 
@@ -66,12 +65,6 @@ class CheckedSignal(NamedTuple):
         """Whether it nearly always differs from its last number, as measurements do."""
         finite = self.values[np.isfinite(self.values)]
         return len(finite) >= FEWEST and float(np.mean(np.diff(finite) != 0.0)) >= _LIVELY_SHARE
-
-
-def read_topics(robot: Robot) -> list[CheckedTopic]:
-    """Read the topics of a robot's recording, in the order of their names."""
-    collector = SignalCollector(robot)
-    return topics_of(KeptMessages.read(robot, (), see=collector.see), collector)
 
 
 def topics_of(recording: KeptMessages, collector: SignalCollector) -> list[CheckedTopic]:

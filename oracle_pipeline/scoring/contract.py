@@ -19,6 +19,7 @@ from rosbags.interfaces import Qos
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.merging import Messages
 from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.features.engine.timeline import Timeline
 from oracle_pipeline.graphs.intervals import compose
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.robots.known import Known
@@ -74,7 +75,7 @@ class Breach(NamedTuple):
     A note is what an honest filter or another machine does as well: it does not count as a breach.
     """
 
-    name: str  # of a topic, a node or an edge
+    name: str  # of a topic, a node or an edge; or "clock"
     text: str  # a sentence; that of a note has the reason
     severity: Literal["breach", "note"] = "breach"
 
@@ -107,6 +108,8 @@ class Observation:
         Of the bytes of each topic [bit], for `oracle compare`; empty unless requested.
     duration_s : float
         How long it is [s]; a rate proves nothing in a recording of a few messages.
+    set_back : tuple of tuple
+        When the recorder's clock was set back, and by how much [s].
     """
 
     topics: Mapping[str, tuple[str, tuple[str, ...], float | None]]
@@ -121,6 +124,7 @@ class Observation:
     parameters: Parameters = field(default_factory=dict)
     entropies: Mapping[str, float] = field(default_factory=dict)
     duration_s: float = math.inf
+    set_back: tuple[tuple[float, float], ...] = ()
 
 
 class Observer:
@@ -156,11 +160,9 @@ class Observer:
         if self._paced:
             self._seen.append(Stamped(batch.topics.astype(np.int16), batch.stamps_ns))
 
-    def observation(self, run: OpenedRun, duration_s: float) -> Observation:
-        """Return the observation of the recording, once its bag was read.
-
-        The duration is that of `KeptMessages`, without the jumps of the clock.
-        """
+    def observation(self, run: OpenedRun, clock: Timeline) -> Observation:
+        """Return the observation of the recording, once its bag was read; it has a clock."""
+        duration_s = (clock.duration_ns - 1) * 1e-9
         topics = {
             name: (topic.msgtype, qos_words(topic.qos), _rate(topic.count, duration_s))
             for name, topic in self._bag.topics.items()
@@ -178,6 +180,7 @@ class Observer:
             parameters=self.samples.parameters(),
             entropies=self.samples.entropies() if self._paced else {},
             duration_s=max(duration_s, 1e-9),
+            set_back=clock.set_back,
         )
 
 
@@ -200,6 +203,8 @@ class Contract:
         Topic -> source -> lowest share of the topic's messages that are copies of the source's.
     roles : dict of str to tuple of str
         Role -> topics that play it in any recording.
+    steady_clock : bool
+        Whether the recorder's clock was set back in no recording.
     """
 
     topics: Mapping[str, TopicTerms]
@@ -209,6 +214,7 @@ class Contract:
     constants: Mapping[str, Mapping[str, str | None]] = field(default_factory=dict)
     relays: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     roles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    steady_clock: bool = False
 
     @property
     def known(self) -> Known:
@@ -233,6 +239,7 @@ class Contract:
             {name: _constants(name, observations) for name in names},
             {name: sources for name in names if (sources := _sources(name, observations))},
             _roles(observations),
+            not any(seen.set_back for seen in observations),
         )
 
     def breaches(self, seen: Observation, *, rates: bool = True) -> list[Breach]:
@@ -260,6 +267,15 @@ class Contract:
                 if kind in terms.types and name in seen.constants:
                     found += self._of_constants(name, seen.constants[name])
                 found += self._of_relay(name, seen) if seen.whole else []
+        if self.steady_clock:
+            found += [
+                Breach(
+                    "clock",
+                    f"The recorder's clock was set back by {back_s:.3g} s at {at_s:.2f} s; in no "
+                    "normal recording it was.",
+                )
+                for at_s, back_s in seen.set_back
+            ]
         return found + self._of_graph(seen.graph)
 
     def is_broken(self, seen: Observation) -> bool:
@@ -362,6 +378,7 @@ class Contract:
             "constants": self.constants,
             "relays": self.relays,
             "roles": self.roles,
+            "steady_clock": self.steady_clock,
         }
 
     @classmethod
@@ -382,6 +399,7 @@ class Contract:
             document["constants"],
             document["relays"],
             {role: tuple(topics) for role, topics in document["roles"].items()},
+            document["steady_clock"],
         )
 
 

@@ -23,6 +23,7 @@ from oracle_pipeline.bags.merging import Messages
 from oracle_pipeline.bags.processes import FINDS_OURS, no_program
 from oracle_pipeline.features import FeatureManager, FeatureTables, build_manager, extract
 from oracle_pipeline.features.engine.kept_messages import KeptMessages
+from oracle_pipeline.features.engine.timeline import Timeline
 from oracle_pipeline.features.manager import FOLDER_VARIABLE
 from oracle_pipeline.features.signals.collector import SignalCollector
 from oracle_pipeline.opened_run import OpenedRun, open_run
@@ -138,23 +139,23 @@ def _of_robot(
     path: str, run: OpenedRun, robot: Robot, manager: FeatureManager, reading: Reading
 ) -> Extracted:
     observer = Observer(robot.bag, paced=reading.paced)
-    tables, length_s, faults = _tables(run, robot, manager, observer, reading.check)
-    seen = interfaces(observer, run, robot, length_s)
+    tables, clock, faults = _tables(run, robot, manager, observer, reading.check)
+    seen = interfaces(observer, run, robot, clock)
     origin = origin_of(run, robot, starts=reading.paced)
     return Extracted(of_robot(path, robot.name), tables, seen, origin, faults)
 
 
-def interfaces(observer: Observer, run: OpenedRun, robot: Robot, length_s: float) -> Observation:
+def interfaces(observer: Observer, run: OpenedRun, robot: Robot, clock: Timeline) -> Observation:
     """Return what was observed of a robot's messages, with the roles of its topics."""
     roles = {role: found.topics for role, found in robot.roles.found.items() if found.topics}
-    seen = observer.observation(run, length_s)
+    seen = observer.observation(run, clock)
     return replace(seen, roles=roles, instead=robot.instead)
 
 
 def _tables(
     run: OpenedRun, robot: Robot, manager: FeatureManager, observer: Observer, check: Check | None
-) -> tuple[FeatureTables, float, Sequence[str]]:
-    """Return the features of one robot, the length of its recording [s], and its faults.
+) -> tuple[FeatureTables, Timeline, Sequence[str]]:
+    """Return the features of one robot, the clock of its recording, and its faults.
 
     What was kept of the messages is freed before the observation is made.
     """
@@ -167,7 +168,7 @@ def _tables(
     recording = KeptMessages.read(robot, manager.plugins, see=see)
     tables = extract(run, manager, robot, recording, signals)
     faults = check(recording, signals) if check else ()
-    return tables, (recording.duration_ns - 1) * 1e-9, faults
+    return tables, recording.clock, faults
 
 
 def run_isolated(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT_LIMITS) -> T:

@@ -27,6 +27,7 @@ from oracle_pipeline.features.engine.plugin import (
     Window,
 )
 from oracle_pipeline.features.engine.spans import Integers, Span
+from oracle_pipeline.features.engine.timeline import Timeline
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.robots.robot import Robot, find_robots
 
@@ -58,15 +59,15 @@ class KeptMessages:
 
     Attributes
     ----------
-    duration_ns : int
-        From the first message to a nanosecond after the last, without jumps of the clock.
+    clock : Timeline
+        The recorder's, with the steps that it made.
     notes : list of str
         The messages that were not used, with the reasons.
     shared : dict
         Results that the plugins share, ``Window.shared``.
     """
 
-    duration_ns: int
+    clock: Timeline
     notes: list[str]
 
     def __init__(self, robot: Robot, plugins: tuple[FeaturePlugin, ...]) -> None:
@@ -131,6 +132,11 @@ class KeptMessages:
         }
 
     @property
+    def duration_ns(self) -> int:
+        """From the first message to a nanosecond after the last, without jumps of the clock."""
+        return self.clock.duration_ns
+
+    @property
     def times_ns(self) -> Integers:
         """Times of all messages in the order of reading, since the start [ns]."""
         return self._times_ns
@@ -168,7 +174,7 @@ class KeptMessages:
 
     def _close(self, index: MessageIndex, carried: Carried) -> None:
         """Convert what was kept to arrays by time; note what was not used."""
-        self.duration_ns, self.notes = index.duration_ns, index.notes
+        self.clock, self.notes = index.clock, index.notes
         self._times_ns = index.times_ns
         self._arrivals: dict[str, tuple[Integers, TopicArrivals]] = {}
         undecodable: dict[str, dict[str, int]] = {}  # by reason: topics, and their messages

@@ -69,7 +69,7 @@ class MessageIndex:
             clock = timeline(split_ns, epoch, bag.start_ns, bag.end_ns)
         else:
             epoch, clock = [], Timeline((0,), (bag.start_ns,), (bag.end_ns,))
-        self.duration_ns = clock.duration_ns
+        self.clock = clock
         self.times_ns = np.empty(len(topics), dtype=np.int64)
         self.times_ns[by_topic] = clock.times_ns(ordered_ns, epoch)
         self._rows = np.split(by_topic, bounds) if self._topic_count else []

@@ -57,6 +57,14 @@ class Timeline:
             offset_ns += length_ns
         return times_ns
 
+    @property
+    def set_back(self) -> tuple[tuple[float, float], ...]:
+        """When the clock was set back, since the start of the recording, and by how much [s]."""
+        ends_s = np.cumsum(self._lengths())[:-1] / _SECOND_NS
+        back_s = (np.array(self.ends_ns[:-1]) - np.array(self.starts_ns[1:])) / _SECOND_NS
+        steps = zip(ends_s.tolist(), back_s.tolist(), strict=True)
+        return tuple((at_s, by_s) for at_s, by_s in steps if by_s > 0.0)
+
     def note(self) -> str | None:
         """Return a note on the jumps of the clock; None without any."""
         if len(self.starts_ns) == 1:

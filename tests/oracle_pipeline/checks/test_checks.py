@@ -10,8 +10,10 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
+from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.checks.run import CHECKS, check_recording
 from oracle_pipeline.cli import main
+from tests.oracle_pipeline.bags.conftest import STRING, text
 from tests.oracle_pipeline.checks.drives import AT_S, Tables, drive, sound_drive
 
 
@@ -180,3 +182,15 @@ def test_score_tells_the_faults_of_a_recording_beside_its_verdict(tmp_path):
         note.removeprefix("Check: /imu: ").removesuffix(".") for note in told[0]
     ]
     assert told[1] == []
+
+
+def test_a_clock_that_is_set_back_is_a_fault(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        for name in ("/one", "/two"):
+            bag.add_topic(name, STRING, ())
+        for tick in range(100):
+            stamp_ns = 10**12 + tick * 10**8 - (2 * 10**9 if tick >= 60 else 0)
+            bag.write("/one", stamp_ns, text("a"))
+            bag.write("/two", stamp_ns + 1, text("b"))
+    (fault,) = (each for each in check_recording(tmp_path / "bag") if each.check == "clock")
+    assert fault.text == "the recorder's clock was set back by 2 s at 5.90 s"

@@ -44,6 +44,11 @@ def test_a_jump_costs_nothing(jump_ns):
     between = [np.diff(np.sort(t)) for t in times]
     assert max(b.max() for b in between) <= 0.2 * SECOND
     assert "2 spans" in clock.note()
+    told = [(at_s, by_s) for at_s, by_s in clock.set_back]
+    if jump_ns < 0:
+        assert told == [(pytest.approx(50.0, abs=1.0), pytest.approx(-jump_ns / SECOND, abs=1.0))]
+    else:
+        assert told == []
 
 
 def test_first_stamps_of_zero_cost_nothing():

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from oracle_pipeline.features.engine.timeline import Timeline
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.contract import FEWEST_RECORDINGS, Contract, Observation, Observer
 from oracle_pipeline.scoring.pace import Pace
@@ -102,6 +103,14 @@ def test_a_localisation_that_rests_at_other_places_is_no_mount():
 def test_a_contract_survives_json(normal):
     contract = Contract.learned(normal)
     assert Contract.from_dict(contract.to_dict()) == contract
+
+
+def test_a_clock_that_is_set_back_is_a_breach_unless_normal_recordings_have_it():
+    seen = replace(NORMAL[1], set_back=((5.1, 2.0),))
+    assert [each.text for each in Contract.learned(NORMAL).breaches(seen)] == [
+        "The recorder's clock was set back by 2 s at 5.10 s; in no normal recording it was."
+    ]
+    assert Contract.learned([*NORMAL, seen]).breaches(seen) == []
 
 
 def test_a_missing_topic_is_a_breach():
@@ -234,9 +243,10 @@ def test_a_recording_shows_the_pace_of_its_topics(recorded_run):
             paced.see(batch)
         for batch in run.bag.batches(unpaced.samples.taken):
             unpaced.see(batch)
-        observation = paced.observation(run, run.duration_s)
+        clock = Timeline((0,), (run.bag.start_ns,), (run.bag.end_ns,))
+        observation = paced.observation(run, clock)
         unrequested = replace(observation, paces={}, entropies={})
-        assert unrequested == unpaced.observation(run, run.duration_s)
+        assert unrequested == unpaced.observation(run, clock)
         seen, entropies = observation.paces, observation.entropies
     assert seen["/scan"].longest_gap_s == pytest.approx(0.2, abs=0.1)
     assert 49 <= seen["/scan"].fewest <= seen["/scan"].most <= 51
