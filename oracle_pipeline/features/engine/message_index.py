@@ -21,14 +21,14 @@ class MessageIndex:
     ----------
     times_ns : ndarray of shape (n,)
         Since the start of the recording, without jumps of the clock.
-    duration_ns : int
-        From the first message to a nanosecond after the last, likewise.
+    clock : Timeline
+        The recorder's.
     notes : list of str
         On the clock of the recording.
     """
 
     times_ns: Integers
-    duration_ns: int
+    clock: Timeline
 
     def __init__(self, layouts: Sequence[MessageLayout]) -> None:
         self._headers = HeaderStamps(layouts)
@@ -75,7 +75,7 @@ class MessageIndex:
         self._rows = np.split(by_topic, bounds) if self._topic_count else []
         if note := clock.note():
             self.notes.append(note)
-        if len(topics) > 1 and self.duration_ns == 1:
+        if len(topics) > 1 and clock.duration_ns == 1:
             self.notes.append(
                 f"All {len(topics)} messages were recorded at the same time: the recorder's clock "
                 "stood still, as simulated time does without /clock."
