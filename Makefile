@@ -64,6 +64,7 @@ demo-card: setup ## Learn the demo's reference card again, after a change of sim
 	oracle-sim record -m lidar_passthrough_odom -n 40 --goals 1 --refresh \
 		--out $${ORACLE_HOME:-data}/demo-card
 	oracle learn $${ORACLE_HOME:-data}/demo-card --output examples/demo/normal.card
+	python -m tools.scripts.short_recording
 
 found-attacks: setup-dev ## Score the attacks that searches found; move those that are caught
 	python -m tools.scripts.found_attacks

@@ -4,10 +4,13 @@ import re
 import runpy
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from oracle_pipeline.features import build_manager
+from oracle_pipeline.features import build_manager, extract
+from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.card import ReferenceCard
+from tools.scripts.compile_loops import SHORT
 
 pytestmark = pytest.mark.slow(6)
 
@@ -45,3 +48,10 @@ def test_the_shipped_card_is_small_and_knows_the_features_of_the_code(demo):
     assert set(card.scorer.design.run_features) <= known
     assert card.runs["block"].nunique() >= 39  # two recordings judged together, at 5 %
     assert demo["BLOCK"] not in set(card.runs["block"])
+
+
+def test_the_short_recording_has_nearly_all_features_that_the_card_has(demo):
+    columns = ReferenceCard.load(demo["CARD"]).scorer.design.run_features
+    with open_run(SHORT) as run:
+        row = extract(run, build_manager()).run.iloc[0]
+    assert np.isfinite(row[list(columns)].to_numpy(dtype=float)).mean() > 0.9

@@ -1,38 +1,52 @@
 """Compile the hot loops, so that the first run does not wait for it, nor each worker do it again.
 
 numba keeps machine code beside the sources, for each function and each type of its arguments. What
-types there are, only calls show: so this does what a campaign does, once and small. Python keeps
+types there are, only calls show: so this does what a campaign does, once and small, with a process
+for each part. The features are those of a short recording that comes with the project. Python keeps
 the bytecode of what this imports: all that a campaign does, Dagster's commands included.
 """
 
 import importlib
 import tempfile
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from assets.worker.feature_tables import require_tables
 from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.features import build_manager, extract
+from oracle_pipeline.opened_run import open_run
 from sim.campaigns import Campaign
 from sim.experiments import recipe_for, record_run
 
 MODE = "fake_object"
+SHORT = Path(__file__).parents[2] / "examples" / "demo" / "short"
 COMMANDS = ("oracle_pipeline.definitions", "dagster._cli", "dagster_webserver.cli")
 
 
 def main() -> None:
-    """Record a short run, extract its features, and import Dagster."""
+    """Record a short run, extract features, and import Dagster, all at once."""
+    print("Compiling simulator and features (about half a minute, once) ...", flush=True)
+    with ProcessPoolExecutor() as pool:
+        for done in [pool.submit(part) for part in (simulate, measure, import_commands)]:
+            done.result()
+
+
+def simulate() -> None:
+    """Record a run of one goal."""
     with tempfile.TemporaryDirectory(prefix="oracle-") as root:
         run = RunDirectory(Path(root), MODE, 0)
-        progress("Compiling the simulator (about half a minute, once) ...")
         record_run(recipe_for(MODE, run.run, Campaign(goals_per_run=1)), run)
-        progress("Compiling the features (about half a minute, once) ...")
-        require_tables(run)
+
+
+def measure() -> None:
+    """Extract the features of the short recording."""
+    with open_run(SHORT) as run:
+        extract(run, build_manager(None))
+
+
+def import_commands() -> None:
+    """Import what the commands of Dagster do."""
     for module in COMMANDS:
         importlib.import_module(module)
-
-
-def progress(line: str) -> None:
-    """Print what happens now."""
-    print(line, flush=True)
 
 
 if __name__ == "__main__":
