@@ -69,7 +69,7 @@ class CheckedSignal(NamedTuple):
 
 def topics_of(recording: KeptMessages, collector: SignalCollector) -> list[CheckedTopic]:
     """Return the topics of a recording whose messages a collector has seen."""
-    window = recording.span(Span(0, recording.duration_ns), NO_GRAPH)
+    window = recording.span(Span(0, recording.clock.duration_ns), NO_GRAPH)
     by_topic: dict[str, list[Signals]] = {}
     for signals in collector.signals(recording.times_ns):
         by_topic.setdefault(signals.topic, []).append(signals)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from oracle_pipeline.checks.topic import (
     signals_of,
     worst,
 )
-from oracle_pipeline.features.signals.units import period_of
+from oracle_pipeline.features.signals.units import of_fields, period_of
 
 _STUCK_MESSAGES, _STUCK_S = 10, 1.0  # a stuck stretch has both
 _LONGER = 10.0  # so many times longer than any other stretch of equal numbers
@@ -31,20 +32,9 @@ _MEASURED = ("m/s^2", "rad/s", "N", "N m", "T", "A", "V")
 _NORM = 0.01  # tolerance of a quaternion's norm
 _COUNTS = 0.95  # of a counter's steps are equal
 
-#: Smallest and largest number that a field can hold, by message type and field.
-LIMITS: Mapping[tuple[str, str], tuple[float, float]] = {
-    ("sensor_msgs/msg/NavSatFix", "latitude"): (-90.0, 90.0),
-    ("sensor_msgs/msg/NavSatFix", "longitude"): (-180.0, 180.0),
-    ("sensor_msgs/msg/BatteryState", "percentage"): (0.0, 1.0),
-    ("sensor_msgs/msg/BatteryState", "voltage"): (0.0, 1000.0),
-    ("sensor_msgs/msg/FluidPressure", "fluid_pressure"): (0.0, math.inf),
-    ("sensor_msgs/msg/Imu", "angular_velocity"): (-100.0, 100.0),
-    ("sensor_msgs/msg/Imu", "linear_acceleration"): (-1000.0, 1000.0),
-    ("sensor_msgs/msg/LaserScan", "ranges.min"): (0.0, math.inf),
-    ("sensor_msgs/msg/Range", "range"): (0.0, math.inf),
-    ("sensor_msgs/msg/RelativeHumidity", "relative_humidity"): (0.0, 1.0),
-    ("sensor_msgs/msg/Temperature", "temperature"): (-273.15, math.inf),
-}
+LIMITS: Mapping[tuple[str, str], tuple[float, float]] = of_fields(
+    Path(__file__).with_name("limits.yaml")
+)
 
 
 def stuck(topic: CheckedTopic) -> Iterator[Fault]:

@@ -162,7 +162,7 @@ def measure(
     if recording is None or signals is None:
         signals = SignalCollector(robot)
         recording = KeptMessages.read(robot, manager.plugins, see=signals.see)
-    whole = Span(0, recording.duration_ns)
+    whole = Span(0, recording.clock.duration_ns)
     extraction = _Extraction(run, manager, recording, whole)
     of_run = extraction.row(whole)
     fields = _fields(manager.features())
@@ -225,8 +225,8 @@ def extract_window(
     run = replace(run, bag=robot.bag)
     signals = SignalCollector(robot)
     recording = KeptMessages.read(robot, manager.plugins, carried, signals.see)
-    extraction = _Extraction(run, manager, recording, Span(0, recording.duration_ns))
-    span = Span(round(start_s * 1e9), recording.duration_ns)
+    extraction = _Extraction(run, manager, recording, Span(0, recording.clock.duration_ns))
+    span = Span(round(start_s * 1e9), recording.clock.duration_ns)
     of_signals = SignalTable(signals.signals(recording.times_ns))
     table = extraction.windows(_keys(run, robot), [span], of_signals)
     return WindowFeatures(table.frame(), recording.carried())
@@ -234,7 +234,7 @@ def extract_window(
 
 def window_spans(recording: KeptMessages) -> list[Span]:
     """Return the windows that have a message; the last one may be shorter."""
-    windows = windows_ns(recording.duration_ns, recording.occupied())
+    windows = windows_ns(recording.clock.duration_ns, recording.occupied())
     if len(windows) > MOST_WINDOWS:
         raise BagError(
             f"the recording has {len(windows)} windows with messages; the limit is {MOST_WINDOWS} "

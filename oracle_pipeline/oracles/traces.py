@@ -181,7 +181,7 @@ def trace_of(recording: KeptMessages) -> pd.DataFrame:
         Columns ``time_s`` (every 0.05 s from the start of the recording) and all of `SIGNALS`;
         a signal holds its last value, and is NaN before its first.
     """
-    whole = Span(0, recording.duration_ns)
+    whole = Span(0, recording.clock.duration_ns)
     window = recording.window(TRACE, whole, recording.span(whole, NO_GRAPH))
     if isinstance(window, Missing):  # a topic cannot be decoded
         window = recording.span(whole, NO_GRAPH)

@@ -9,7 +9,7 @@ the clock, files or the user's Matplotlib settings: the same numbers give the sa
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
-from typing import Any
+from pathlib import Path
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -26,24 +26,7 @@ SERIES = ("#3f83d8", "#d4583a", "#1f9486", "#8b6fd0", AMBER)
 DPI = 160
 PALETTE = 128  # colours of a picture; saves two thirds of the bytes in Dagster's event log
 
-_STYLE: dict[Any, Any] = {
-    "axes.edgecolor": INK,
-    "axes.facecolor": "none",
-    "axes.labelcolor": INK,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlelocation": "left",
-    "axes.titlesize": "medium",
-    "figure.facecolor": "none",
-    "font.size": 9.0,
-    "grid.alpha": 0.25,
-    "grid.color": INK,
-    "legend.frameon": False,
-    "savefig.facecolor": "none",
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-}
+_STYLE = Path(__file__).with_name("house.mplstyle")
 
 
 @contextmanager
@@ -51,7 +34,7 @@ def house_style() -> Iterator[None]:
     """Use the style of all our pictures, regardless of the user's settings."""
     with mpl.rc_context():
         mpl.rcdefaults()
-        mpl.rcParams.update(_STYLE)
+        mpl.rcParams.update(mpl.rc_params_from_file(_STYLE, use_default_template=False))
         yield
 
 

@@ -160,19 +160,15 @@ def _with_signals(of_features: Design, runs: MeasuredRuns) -> Design:
     fields = field_metadata(runs.features)
     knows_robot = any(fields[c].get("origin") != "generic" for c in of_features.run_features)
     is_long = common_length(runs.counts) >= LONG
-    known = OF_FEATURES if knows_robot else ()
-    of_signals = tuple(
-        level
-        for level in OF_SIGNALS
-        if (is_long or level not in OF_WINDOWS)
-        and (len(runs.counts) >= FEWEST_IN_RANGE or level != "farthest")
-    )
+    has_range = len(runs.counts) >= FEWEST_IN_RANGE
+    left_out = {*(() if is_long else OF_WINDOWS), *(() if has_range else ("farthest",))}
+    of_signals = (level for level in OF_SIGNALS if level not in left_out)
     window_signals = common_signals(runs.windows, settings) if is_long else ()
     return replace(
         of_features,
         run_signals=run_signals,
         window_signals=window_signals,
-        levels=(*known, *of_signals),
+        levels=(*(OF_FEATURES if knows_robot else ()), *of_signals),
     )
 
 

@@ -23,6 +23,7 @@ from sklearn.pipeline import Pipeline
 from oracle_pipeline.clustering.scaling import CLIP
 from oracle_pipeline.datasets import topic_of_signal
 from oracle_pipeline.detectors import BeyondRange, Detector, LargestGroup, SignalScaler, pipeline
+from oracle_pipeline.features.signals.statistics import OF_WINDOW
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 OF_FEATURES = ("run", "windows")
@@ -32,7 +33,6 @@ OF_SIGNALS = (*WHOLE_SIGNALS, "signal windows")
 _BY_TOPIC = ("topics", "signal windows")
 PLAIN = "plain"  # level of a detector that a user named, alone
 PLAIN_STATISTICS = ("mean", "std", "min", "max", "change")  # of signals, for it and for "range"
-STEADY_STATISTICS = ("mean", "std", "change")  # for "farthest": extremes are far by chance
 OF_WINDOWS = ("windows", "signal windows")  # levels of windows; all others are of whole runs
 TOP_WINDOWS = 6  # number of highest window scores that are averaged for a run
 TOP_FEATURES = 3  # number of a window's most unusual features that are averaged for alarms
@@ -88,8 +88,8 @@ class Design:
         """Return the columns of a level."""
         if level in (PLAIN, "range"):
             return [c for c in self.run_signals if c.rpartition(".")[2] in PLAIN_STATISTICS]
-        if level == "farthest":
-            return [c for c in self.run_signals if c.rpartition(".")[2] in STEADY_STATISTICS]
+        if level == "farthest":  # extremes are far by chance
+            return [c for c in self.run_signals if c.rpartition(".")[2] in OF_WINDOW]
         if level in OF_SIGNALS:
             return self.window_signals if level in OF_WINDOWS else self.run_signals
         return self.window_features if level in OF_WINDOWS else self.run_features

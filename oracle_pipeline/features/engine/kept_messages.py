@@ -132,11 +132,6 @@ class KeptMessages:
         }
 
     @property
-    def duration_ns(self) -> int:
-        """From the first message to a nanosecond after the last, without jumps of the clock."""
-        return self.clock.duration_ns
-
-    @property
     def times_ns(self) -> Integers:
         """Times of all messages in the order of reading, since the start [ns]."""
         return self._times_ns

@@ -1,41 +1,23 @@
 """Units of the fields of common message types."""
 
 from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
 
 ANGLE_NAMES = (
     "yaw", "roll", "pitch", "heading", "course", "bearing", "angle", "theta", "azimuth",
 )  # fmt: skip
 
-#: Unit by message type and field; it holds for all numbers inside of the field.
-UNITS: Mapping[tuple[str, str], str] = {
-    ("geometry_msgs/msg/Accel", "linear"): "m/s^2",
-    ("geometry_msgs/msg/Accel", "angular"): "rad/s^2",
-    ("geometry_msgs/msg/Pose", "position"): "m",
-    ("geometry_msgs/msg/PointStamped", "point"): "m",
-    ("geometry_msgs/msg/Transform", "translation"): "m",
-    ("geometry_msgs/msg/Twist", "linear"): "m/s",
-    ("geometry_msgs/msg/Twist", "angular"): "rad/s",
-    ("geometry_msgs/msg/Wrench", "force"): "N",
-    ("geometry_msgs/msg/Wrench", "torque"): "N m",
-    ("ackermann_msgs/msg/AckermannDrive", "steering_angle"): "rad",
-    ("ackermann_msgs/msg/AckermannDrive", "steering_angle_velocity"): "rad/s",
-    ("ackermann_msgs/msg/AckermannDrive", "speed"): "m/s",
-    ("ackermann_msgs/msg/AckermannDrive", "acceleration"): "m/s^2",
-    ("sensor_msgs/msg/BatteryState", "voltage"): "V",
-    ("sensor_msgs/msg/BatteryState", "current"): "A",
-    ("sensor_msgs/msg/BatteryState", "temperature"): "degC",
-    ("sensor_msgs/msg/FluidPressure", "fluid_pressure"): "Pa",
-    ("sensor_msgs/msg/Imu", "angular_velocity"): "rad/s",
-    ("sensor_msgs/msg/Imu", "linear_acceleration"): "m/s^2",
-    ("sensor_msgs/msg/JointState", "velocity"): "rad/s",
-    ("sensor_msgs/msg/LaserScan", "ranges"): "m",
-    ("sensor_msgs/msg/MagneticField", "magnetic_field"): "T",
-    ("sensor_msgs/msg/NavSatFix", "latitude"): "deg",
-    ("sensor_msgs/msg/NavSatFix", "longitude"): "deg",
-    ("sensor_msgs/msg/NavSatFix", "altitude"): "m",
-    ("sensor_msgs/msg/Range", "range"): "m",
-    ("sensor_msgs/msg/Temperature", "temperature"): "degC",
-}
+
+def of_fields(table: Path) -> dict[tuple[str, str], Any]:
+    """Return a table of values by message type and field."""
+    of_types: dict[str, dict[str, Any]] = yaml.safe_load(table.read_text("utf8"))
+    return {(kind, name): of for kind, fields in of_types.items() for name, of in fields.items()}
+
+
+UNITS: Mapping[tuple[str, str], str] = of_fields(Path(__file__).with_name("units.yaml"))
 
 
 def period_of(name: str, unit: str, largest: float) -> float:

@@ -30,7 +30,7 @@ def test_sentence_says_how_much_usual_and_when():
 
 def test_every_phrase_is_used():
     used = {_phrase(feature) for feature in FEATURES}
-    assert [phrase for _, phrase in _PHRASES if phrase not in used] == []
+    assert [phrase for phrase in _PHRASES.values() if phrase not in used] == []
 
 
 def test_sentence_says_until_when_and_whether_it_lasts_all_the_time():
@@ -73,6 +73,15 @@ def test_headline_prefers_what_people_understand_unless_another_is_much_farther(
         (Verdict("bag", "error", error="There is no bag."), "There is no bag."),
         (Verdict("bag", "normal"), "It behaved as the normal runs did."),
         (Verdict("bag", "breach", contract=("Topic /a is gone.", "b")), "Topic /a is gone."),
+        (
+            Verdict(
+                "bag",
+                "anomalous",
+                evidence=(evidence("my_plugin.value"),),
+                contract=("Topic /a is gone.",),
+            ),
+            "Topic /a is gone.",
+        ),
         (Verdict("bag", "anomalous"), "none of them alone is."),
         (
             Verdict("bag", "unsupported", evidence=(evidence("contextual.speed"),)),
