@@ -79,8 +79,7 @@ run: setup ## Simulate the small campaign, analyse it, and say where the report 
 BLOCKS := 60
 SEED := 20260101
 campaign: setup ## Simulate BLOCKS=60 of every mode and hard negative, SEED=20260101, and evaluate the oracle
-	ORACLE_HOME=$${ORACLE_HOME:-data/campaign} ORACLE_RUNS=$(BLOCKS) ORACLE_GOALS_PER_RUN=4 \
-		ORACLE_NOISE_PER_RUN=1 ORACLE_NAV2=drawn \
+	ORACLE_HOME=$${ORACLE_HOME:-data/campaign} ORACLE_RUNS=$(BLOCKS) \
 		dagster asset materialize -m oracle_pipeline.definitions --select '*' \
 		--partition-range "lidar_passthrough|run000...benign_slow|$$(printf run%03d $$(($(BLOCKS) - 1)))" \
 		--config-json '{"resources": {"campaign": {"config": {"seed": $(SEED)}}}}'

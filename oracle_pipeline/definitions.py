@@ -57,7 +57,7 @@ def build_defs(**overrides: object) -> dg.Definitions:
     resources: dict[str, object] = {
         "store": RunStore(root=os.environ.get("ORACLE_HOME") or "data"),
         "fleet": Fleet(address=os.environ.get("ORACLE_DASK", "")),
-        "campaign": CampaignSettings.from_environment(),
+        "campaign": CampaignSettings(),
         "budget": StorageBudget(limit=dg.EnvVar("ORACLE_STORAGE_BUDGET"))
         if "ORACLE_STORAGE_BUDGET" in os.environ
         else StorageBudget(),

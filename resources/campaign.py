@@ -1,15 +1,18 @@
 """Settings that all runs of the campaign share."""
 
-from typing import Literal, Self
+from typing import Literal
 
 import dagster as dg
 from pydantic import Field
 
 from sim.campaigns import DEFAULT_SEED, ArenaChoice, Campaign, Navigation, Options
 
+# The defaults are those of the environment: a run config replaces all values of an instance.
+_USUAL = Campaign.from_environment()
+
 
 class CampaignSettings(dg.ConfigurableResource[None]):
-    """Settings of the experiment runs."""
+    """Settings of the experiment runs; their defaults are those of the environment."""
 
     seed: int = Field(
         default=DEFAULT_SEED,
@@ -17,42 +20,32 @@ class CampaignSettings(dg.ConfigurableResource[None]):
         description="Seed of all randomness; the same seed gives the same messages.",
     )
     goals_per_run: int = Field(
-        default=8, ge=1, description="Goals of one run; 1 is the thesis's protocol."
+        default=_USUAL.goals_per_run,
+        ge=1,
+        description="Goals of one run; 1 is the thesis's protocol.",
     )
     storage: Literal["mcap", "sqlite3"] = Field(
         default="mcap", description="Storage of the recorded bags."
     )
     arena: ArenaChoice = Field(
-        default="drawn",
+        default=_USUAL.options.arena,
         description="World of the runs; drawn: alternate hexagon, house and random arenas.",
     )
     nav2: Navigation = Field(
-        default="tuned",
+        default=_USUAL.options.nav2,
         description="Settings of Nav2: tuned to narrow gaps; stock, with which the collision "
         "monitor slows the robot down near walls; drawn: stock in houses, tuned elsewhere.",
     )
     sessions: int | None = Field(
-        default=None,
+        default=_USUAL.sessions,
         ge=1,
         description="Number of sessions to distribute blocks over; by default one per block.",
     )
     noise_per_run: bool = Field(
-        default=False,
+        default=_USUAL.noise_per_run,
         description="Draw sensor noise and latencies for each run instead of each block; an attack "
         "and its shadow control still share them.",
     )
-
-    @classmethod
-    def from_environment(cls) -> Self:
-        """Return the settings from environment variables."""
-        wanted = Campaign.from_environment()
-        return cls(
-            goals_per_run=wanted.goals_per_run,
-            sessions=wanted.sessions,
-            noise_per_run=wanted.noise_per_run,
-            arena=wanted.options.arena,
-            nav2=wanted.options.nav2,
-        )
 
     def campaign(self) -> Campaign:
         """Return the campaign that recipes are drawn from."""
