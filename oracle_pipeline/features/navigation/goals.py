@@ -152,7 +152,7 @@ def goals_of_log(series: Series, ticks_s: NDArray[np.float64]) -> list[Goal]:
             goals[-1] = replace(goals[-1], reached=state == "SUCCESS")
         elif state in _REPORTS:  # began and ended in the same tick
             goals.append(Goal(time_s, time_s, state == "SUCCESS"))
-    ended_s = goals[-1].ended_s if goals else 0.0
+    ended_s = goals[-1].ended_s if goals else None
     if ended_s is not None and (ticks_s > ended_s + _BETWEEN_S).any():
         goals.append(Goal(_lost_s(goals, ticks_s)))
     return goals

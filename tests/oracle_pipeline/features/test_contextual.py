@@ -148,8 +148,7 @@ I, R, S, F = "IDLE", "RUNNING", "SUCCESS", "FAILURE"  # noqa: E741 -- as short a
         ([(1, I + R)], 4, [(1, None, False)]),
         ([(3, I + S)], 3, [(3, 3, True)]),
         ([(1, I + R), (4, R + I, I + S, S + I, I + R)], 6, [(1, 4, True), (4, None, False)]),
-        ([], 4, [(0, None, False)]),  # it runs all the time
-        ([], 0, []),
+        ([], 4, []),  # its root has another name
         ([(4, R + I, I + S)], 4, [(0, 4, True)]),  # it ran when the recording began
         ([(1, I + R), (5, S + I, I + R)], 7, [(1, 4, True), (5, None, False)]),  # an end is lost
         ([(1, I + R), (3, R + I, I + S), (6, R + I, I + S)], 6,
