@@ -18,6 +18,8 @@ INTERFACE = "interface"  # family of the presence of topics, nodes and edges
 RATE = "rate"  # family of the rate of each topic
 PAYLOAD = "payload"  # family of the entropy of each topic's bytes
 PARAMETER = "parameter"  # family of the numbers that nodes have as parameters
+# Resolution of a set of recordings, in floors; a floor is what a queue or rounding does to one.
+_STEP = 0.2
 _UNITS = {INTERFACE: "1", RATE: "Hz", PAYLOAD: "bit"}
 _FLOORS = {INTERFACE: 0.0, RATE: 0.1, PAYLOAD: 0.02}
 
@@ -51,12 +53,12 @@ def aligned(first: pd.DataFrame, second: pd.DataFrame) -> tuple[pd.DataFrame, pd
 
 
 def resolved_values(table: pd.DataFrame, declared: pd.DataFrame) -> NDArray[np.float64]:
-    """Return the values in steps of each feature's resolution, shape (n_rows, n_columns).
+    """Return the values in steps of each feature, shape (n_rows, n_columns).
 
-    A difference below the resolution becomes a tie. `declared` is the feature table whose columns
-    declare their resolution.
+    A difference below the step becomes a tie. `declared` is the feature table whose columns declare
+    their floors.
     """
-    floors = feature_floors(declared)
+    floors = {column: _STEP * floor for column, floor in feature_floors(declared).items()}
     steps = np.array([floors.get(c, _FLOORS.get(family_of(c), 0.0)) for c in table.columns])
     values = table.to_numpy(dtype=np.float64)
     return np.where(steps > 0.0, np.round(values / np.where(steps > 0.0, steps, 1.0)), values)

@@ -99,7 +99,7 @@ def test_equal_robots_of_a_recording_make_no_interval_shorter_and_no_p_value_sma
 
 
 def test_a_difference_below_the_resolution_does_not_count() -> None:
-    table = reference([0.0, 0.1, 0.2, 10.0]).table
+    table = reference([0.0, 0.02, 0.04, 2.0]).table
     steps = resolved_values(table[["drive.path"]], table)
     assert steps[:, 0].tolist() == [0.0, 0.0, 0.0, 20.0]
 
