@@ -22,7 +22,6 @@ from sim.middleware.tf import (
     TransformBroadcaster,
     TransformBuffer,
     TransformError,
-    TransformListener,
     planar_transform,
     transforms_template,
 )
@@ -61,12 +60,10 @@ class Amcl(LifecycleNode):
     ----------
     domain
         The domain that the node belongs to.
-    listener
-        Suffix of its transform listener's name.
+    transforms
+        What its transform listener fills.
     rng
         Generator for the motion and the resampling of particles.
-    transforms
-        Buffer to share with other listeners; its own if omitted.
     latency_ns
         From a scan's publication to its arrival.
     """
@@ -74,14 +71,13 @@ class Amcl(LifecycleNode):
     def __init__(
         self,
         domain: Domain,
-        listener: str,
+        transforms: TransformBuffer,
         *,
         rng: np.random.Generator,
-        transforms: TransformBuffer | None = None,
         latency_ns: int = 0,
     ) -> None:
         super().__init__(domain, "/amcl", rng=rng, latency_ns=latency_ns)
-        self._transforms = TransformListener(domain, listener, transforms).buffer
+        self._transforms = transforms
         self._broadcaster = TransformBroadcaster(self)
         self._transform_bytes = transforms_template(
             [planar_transform(0, MAP_FRAME, ODOM_FRAME, Pose2D())]

@@ -19,7 +19,7 @@ from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND, Timer
 from sim.middleware.geometry import Pose2D, wrap_angle
 from sim.middleware.stamps import duration_message, stamp_ns
-from sim.middleware.tf import TransformBuffer, TransformError, TransformListener
+from sim.middleware.tf import TransformBuffer, TransformError
 from sim.nav2.costmap import LETHAL, Costmap2D, footprint_cost
 from sim.nav2.lifecycle import LifecycleNode, not_served
 from sim.nav2.messages import TWIST, twist_message
@@ -279,22 +279,13 @@ class BehaviorServer(LifecycleNode):
     ----------
     domain, latency_ns
         As for `LifecycleNode`.
-    listener
-        Suffix of its transform listener's name.
     transforms
-        Buffer to share with other listeners; its own if omitted.
+        What its transform listener fills.
     """
 
-    def __init__(
-        self,
-        domain: Domain,
-        listener: str,
-        *,
-        transforms: TransformBuffer | None = None,
-        latency_ns: int = 0,
-    ) -> None:
+    def __init__(self, domain: Domain, transforms: TransformBuffer, *, latency_ns: int = 0) -> None:
         super().__init__(domain, "/behavior_server", latency_ns=latency_ns)
-        self._surroundings = Surroundings(TransformListener(domain, listener, transforms).buffer)
+        self._surroundings = Surroundings(transforms)
 
     def on_configure(self) -> None:
         """Open the topics and the actions."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from sim.middleware.domain import Domain
 from sim.middleware.node import Node
-from sim.middleware.tf import TransformListener
+from sim.middleware.tf import TransformBuffer, TransformListener
 from sim.nav2.amcl import Amcl
 from sim.nav2.basic_navigator import BasicNavigator
 from sim.nav2.behavior_server import BehaviorServer
@@ -95,39 +95,32 @@ def bring_up(
     """
     values = settings(stock=stock, given=parameters)
 
-    def listener(owner: str) -> str:
-        """Return a number in place of the heap address of a node's transform listener."""
-        return f"5581{zlib.crc32(f'{owner}#{run}'.encode()):08x}"
+    def listening(owner: str, shared: TransformBuffer | None = None) -> TransformBuffer:
+        """Add the transform listener of a node, with a number in place of its heap address."""
+        suffix = f"5581{zlib.crc32(f'{owner}#{run}'.encode()):08x}"
+        return TransformListener(domain, suffix, shared).buffer
 
     # All listeners receive the same, so one of them fills the buffer of all.
-    transforms = TransformListener(domain, listener("rviz")).buffer
+    transforms = listening("rviz")
 
     Node(domain, "/nav2_container", endpoints="E")
     Node(domain, f"/launch_ros_{4000 + run}", endpoints="P")
 
     MapServer(domain, world_map)
-    Amcl(
-        domain,
-        listener("amcl"),
-        rng=generator("/amcl"),
-        transforms=transforms,
-        latency_ns=latency_ns,
-    )
+    Amcl(domain, listening("amcl", transforms), rng=generator("/amcl"), latency_ns=latency_ns)
     local_costmap = LocalCostmap(
         domain,
-        listener("local_costmap"),
+        listening("local_costmap", transforms),
         OBSTACLE_SOURCES,
         rng=generator("/local_costmap/local_costmap"),
-        transforms=transforms,
         latency_ns=latency_ns,
         inflation=values.local_inflation,
     )
     global_costmap = GlobalCostmap(
         domain,
-        listener("global_costmap"),
+        listening("global_costmap", transforms),
         OBSTACLE_SOURCES,
         rng=generator("/global_costmap/global_costmap"),
-        transforms=transforms,
         latency_ns=latency_ns,
         inflation=values.global_inflation,
     )
@@ -142,20 +135,16 @@ def bring_up(
         faces_paths=not stock,
         latency_ns=latency_ns,
     )
-    SmootherServer(
-        domain, listener("smoother_server"), transforms=transforms, latency_ns=latency_ns
-    )
+    listening("smoother_server", transforms)
+    SmootherServer(domain, latency_ns=latency_ns)
     PlannerServer(domain, global_costmap, latency_ns=latency_ns)
-    BehaviorServer(
-        domain, listener("behavior_server"), transforms=transforms, latency_ns=latency_ns
-    )
+    BehaviorServer(domain, listening("behavior_server", transforms), latency_ns=latency_ns)
     BtNavigator(domain, transforms, latency_ns=latency_ns)
     WaypointFollower(domain, latency_ns=latency_ns)
     VelocitySmoother(domain, speed=speed, latency_ns=latency_ns)
     collision_monitor = CollisionMonitor(
         domain,
-        listener("collision_monitor"),
-        transforms=transforms,
+        listening("collision_monitor", transforms),
         polygons=STOCK_POLYGONS if stock else POLYGONS,
         sources=monitored,
         latency_ns=latency_ns,

@@ -20,7 +20,7 @@ from sim.middleware.endpoints import Publisher
 from sim.middleware.executor import SECOND
 from sim.middleware.geometry import Pose2D
 from sim.middleware.stamps import stamp_ns
-from sim.middleware.tf import TransformBuffer, TransformError, TransformListener
+from sim.middleware.tf import TransformBuffer, TransformError
 from sim.nav2.footprint import POLYGON, polygon_message
 from sim.nav2.laser import scan_points
 from sim.nav2.lifecycle import LifecycleNode
@@ -134,11 +134,9 @@ class CollisionMonitor(LifecycleNode):
     ----------
     domain, latency_ns
         As for `LifecycleNode`.
-    listener
-        Suffix of its transform listener's name.
     transforms
-        Buffer to share with other listeners; its own if omitted. The robot's motion since a scan
-        is taken out with the newest odometry transform.
+        What its transform listener fills. The robot's motion since a scan is taken out with the
+        newest odometry transform.
     polygons
         In the order of their tests; none is tested after one that stops the robot.
     sources
@@ -148,15 +146,14 @@ class CollisionMonitor(LifecycleNode):
     def __init__(
         self,
         domain: Domain,
-        listener: str,
+        transforms: TransformBuffer,
         *,
-        transforms: TransformBuffer | None = None,
         polygons: Sequence[Polygon] = POLYGONS,
         sources: Sequence[PointSource] = SOURCES,
         latency_ns: int = 0,
     ) -> None:
         super().__init__(domain, "/collision_monitor", latency_ns=latency_ns)
-        self._transforms = TransformListener(domain, listener, transforms).buffer
+        self._transforms = transforms
         self._polygons = polygons
         self._sources = sources
         self._cloud = _Cloud(self._transforms, sources)

@@ -16,7 +16,7 @@ from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.geometry import Pose2D
 from sim.middleware.stamps import stamp_ns
-from sim.middleware.tf import TransformBuffer, TransformError, TransformListener
+from sim.middleware.tf import TransformBuffer, TransformError
 from sim.nav2.costmap import (
     COSTMAP,
     FREE_SPACE,
@@ -83,15 +83,13 @@ class _CostmapNode(LifecycleNode):
     ----------
     domain
         The domain that the node belongs to.
-    listener
-        Suffix of its transform listener's name.
+    transforms
+        What its transform listener fills.
     scan_topics
         Obstacle sources; their publishers may appear late or never.
     rng
         Generator for the delay of the update loop. Nav2 publishes when *more* than a period has
         passed, so this decides whether the global costmap goes out after one second or two.
-    transforms
-        Buffer to share with other listeners; its own if omitted.
     latency_ns
         From a scan's publication to its arrival.
     inflation
@@ -114,11 +112,10 @@ class _CostmapNode(LifecycleNode):
     def __init__(
         self,
         domain: Domain,
-        listener: str,
+        transforms: TransformBuffer,
         scan_topics: Sequence[str],
         *,
         rng: np.random.Generator,
-        transforms: TransformBuffer | None = None,
         latency_ns: int = 0,
         inflation: Inflation = AS_SHIPPED,
     ) -> None:
@@ -126,7 +123,7 @@ class _CostmapNode(LifecycleNode):
         super().__init__(domain, f"/{label}/{label}", bond=False, rng=rng, latency_ns=latency_ns)
         self.is_current = True
         self._inflated_by = inflation
-        self._transforms = TransformListener(domain, listener, transforms).buffer
+        self._transforms = transforms
         self.set_grid(self.initial_grid())
         self._published_ns = 0
 

@@ -3,7 +3,6 @@
 from sim.middleware import qos
 from sim.middleware.action import ActionClient, ActionServer
 from sim.middleware.domain import Domain
-from sim.middleware.tf import TransformBuffer, TransformListener
 from sim.nav2.costmap import COSTMAP
 from sim.nav2.footprint import POLYGON
 from sim.nav2.lifecycle import LifecycleNode, not_served
@@ -17,22 +16,10 @@ class SmootherServer(LifecycleNode):
     ----------
     domain, latency_ns
         As for `LifecycleNode`.
-    listener
-        Suffix of its transform listener's name.
-    transforms
-        Buffer to share with other listeners; its own if omitted.
     """
 
-    def __init__(
-        self,
-        domain: Domain,
-        listener: str,
-        *,
-        transforms: TransformBuffer | None = None,
-        latency_ns: int = 0,
-    ) -> None:
+    def __init__(self, domain: Domain, *, latency_ns: int = 0) -> None:
         super().__init__(domain, "/smoother_server", latency_ns=latency_ns)
-        TransformListener(domain, listener, transforms)
 
     def on_configure(self) -> None:
         """Open the topics and offer the action."""

@@ -232,7 +232,7 @@ class Rig:
         self.start = start or Pose2D(1.0, 1.5, 0.0)
         self.robot = IdealRobot("/cmd_vel")
         domain = self.robot.domain
-        self.amcl = Amcl(domain, "000000000001", rng=np.random.default_rng(5))
+        self.amcl = Amcl(domain, self.robot.buffer, rng=np.random.default_rng(5))
         server = MapServer(domain, room(WIDTH, HEIGHT))
         for node in (server, self.amcl):
             node.configure()

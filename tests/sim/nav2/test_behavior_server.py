@@ -26,7 +26,7 @@ class Rig(IdealRobot):
         self.costmap = self.create_publisher(
             "nav2_msgs/msg/Costmap", "/local_costmap/costmap_raw", qos.LATCHED
         )
-        self.server = BehaviorServer(self.domain, "000000000001", transforms=self.buffer)
+        self.server = BehaviorServer(self.domain, self.buffer)
         self.server.configure()
         self.server.activate()
         self.publish_costmap()
@@ -90,7 +90,7 @@ def test_a_wall_behind_ends_a_backup_before_it_is_touched(rig):
 
 def test_a_behaviour_does_nothing_before_it_has_received_a_costmap():
     rig = IdealRobot("/cmd_vel")
-    server = BehaviorServer(rig.domain, "000000000001", transforms=rig.buffer)
+    server = BehaviorServer(rig.domain, rig.buffer)
     server.configure()
     ended = []
     client = ActionClient(rig, "nav2_msgs/action/BackUp", "/backup")

@@ -49,9 +49,7 @@ class Rig:
         self.place(Pose2D())
         self.commands = self.node.create_publisher(TWIST, "/cmd_vel_raw")
         self.sent = []
-        self.monitor = CollisionMonitor(
-            self.domain, "000000000000", transforms=self.buffer, **options
-        )
+        self.monitor = CollisionMonitor(self.domain, self.buffer, **options)
         self.monitor.configure()
         self.monitor.activate()
         self.node.create_subscription(

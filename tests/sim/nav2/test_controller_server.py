@@ -41,7 +41,7 @@ class Rig(IdealRobot):
     def __init__(self, pose=None):
         super().__init__("/cmd_vel_nav", pose)
         rng = np.random.default_rng(0)
-        costmap = LocalCostmap(self.domain, "000000000001", ["/scan"], rng=rng)
+        costmap = LocalCostmap(self.domain, self.buffer, ["/scan"], rng=rng)
         self.server = ControllerServer(self.domain, costmap, self.buffer)
         self.server.configure()
         self.run(0.1)

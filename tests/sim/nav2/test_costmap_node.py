@@ -7,6 +7,7 @@ from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
 from sim.middleware.geometry import Pose2D
 from sim.middleware.stamps import header
+from sim.middleware.tf import TransformListener
 from sim.nav2.costmap import FREE_SPACE, LETHAL, NO_INFORMATION
 from sim.nav2.costmap_node import GlobalCostmap, LocalCostmap
 from sim.nav2.footprint import FOOTPRINT
@@ -41,7 +42,7 @@ class Rig:
         self.robot = IdealRobot("/cmd_vel")
         domain = self.robot.domain
         rng = np.random.default_rng(1)
-        self.costmap = kind(domain, "000000000001", SOURCES, rng=rng, **settings)
+        self.costmap = kind(domain, self.robot.buffer, SOURCES, rng=rng, **settings)
         server = MapServer(domain, make_map())
         for node in (server, self.costmap):
             node.configure()
@@ -90,7 +91,8 @@ def world():
 
 def test_without_transforms_there_is_no_pose_and_no_activation():
     robot = IdealRobot("/cmd_vel")
-    costmap = LocalCostmap(robot.domain, "000000000001", SOURCES, rng=np.random.default_rng(1))
+    transforms = TransformListener(robot.domain, "1").buffer
+    costmap = LocalCostmap(robot.domain, transforms, SOURCES, rng=np.random.default_rng(1))
     costmap.configure()
     assert costmap.robot_pose() is None  # no time has passed since it began to listen
     assert not costmap.activate()
@@ -101,7 +103,7 @@ def test_without_transforms_there_is_no_pose_and_no_activation():
 
 def test_global_costmap_waits_for_the_map():
     robot = IdealRobot("/cmd_vel")
-    costmap = GlobalCostmap(robot.domain, "000000000001", SOURCES, rng=np.random.default_rng(1))
+    costmap = GlobalCostmap(robot.domain, robot.buffer, SOURCES, rng=np.random.default_rng(1))
     costmap.configure()
     robot.run(1.0)
     assert costmap.robot_pose() is not None

@@ -30,7 +30,7 @@ class Rig:
         self.robot = IdealRobot("/cmd_vel")
         domain = self.robot.domain
         self.costmap = GlobalCostmap(
-            domain, "000000000001", ["/scan"], rng=np.random.default_rng(1)
+            domain, self.robot.buffer, ["/scan"], rng=np.random.default_rng(1)
         )
         self.planner = PlannerServer(domain, self.costmap)
         server = MapServer(domain, divided_room())
