@@ -17,11 +17,11 @@ LAST := delayed_fakeobject|run002
 PIN := pip-compile --quiet --strip-extras --no-header --no-annotate \
 	--no-emit-index-url --no-emit-trusted-host --no-emit-find-links
 
-# The pip that comes with a Python may be old: 23 takes three times as long to find what fits.
-PIP_VERSION := 26.3
-
-# Three of four installed modules are never imported; Python compiles the others when they are.
-INSTALL = $(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable
+# uv installs in a fifth of pip's time. It reads no pip.conf, so it is told the index that is there.
+UV_VERSION := 0.13.9
+INDEX = $$($(BIN)/pip config get global.index-url 2>/dev/null)
+INSTALL = UV_DEFAULT_INDEX=$${UV_DEFAULT_INDEX:-$(INDEX)} \
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --constraint constraints.txt --editable
 export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: help setup setup-dev demo demo-card found-attacks run campaign ui test test-everything test-quick test-browser lint types size architecture docs \
@@ -40,7 +40,7 @@ $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "This needs Python 3.11 or newer; say which with: make setup PYTHON=python3.12"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile pip==$(PIP_VERSION)
+	$(BIN)/python -m pip install --quiet uv==$(UV_VERSION)
 
 $(VENV)/.ready: pyproject.toml constraints.txt | $(BIN)/python
 	$(INSTALL) .

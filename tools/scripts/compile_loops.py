@@ -19,7 +19,10 @@ from sim.experiments import recipe_for, record_run
 
 MODE = "fake_object"
 SHORT = Path(__file__).parents[2] / "examples" / "demo" / "short"
-COMMANDS = ("oracle_pipeline.definitions", "dagster._cli", "dagster_webserver.cli")
+COMMANDS = (
+    "oracle_pipeline.scoring.judging", "oracle_pipeline.reporting.verdict_page",
+    "oracle_pipeline.definitions", "dagster._cli", "dagster_webserver.cli",
+)  # fmt: skip
 
 
 def main() -> None:
