@@ -7,7 +7,7 @@ ours, and browsers run no other: the page states its hash.
 
 import base64
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -23,7 +23,7 @@ from oracle_pipeline.reporting.signal_plots import (
     signal_plots,
 )
 from oracle_pipeline.reporting.templating import png_uri, template
-from oracle_pipeline.scoring.isolation import Limits, run_isolated
+from oracle_pipeline.scoring.isolation import Limits, in_order, run_isolated
 from oracle_pipeline.scoring.output import (
     HEADINGS,
     MOST_BREACHES,
@@ -103,12 +103,22 @@ def write(
     script = template("scrub.js").render()
     odd = [verdict for verdict in verdicts if verdict.outcome not in ("normal", "error")]
     filmed = odd[:MOST_FILMS]
+
+    def film(verdict: Verdict) -> Sequence[tuple[float, bytes]] | OracleError:
+        if verdict.outcome == "error":
+            return ()
+        drawn = partial(draw, number=FRAMES if verdict in filmed else 1)
+        try:
+            return run_isolated(drawn, Path(verdict.recording), limits)
+        except OracleError as error:
+            return error
+
     page = template("verdicts.html.j2").render(
         headline=headline,
         tally=tally(verdicts),
         judged=[
-            _shown(verdict, far, limits, partial(draw, number=FRAMES if verdict in filmed else 1))
-            for verdict in verdicts
+            _shown(verdict, far, frames)
+            for verdict, frames in zip(verdicts, in_order(film, verdicts), strict=True)
         ],
         script=script,
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
@@ -124,18 +134,13 @@ def write(
 
 
 def _shown(
-    verdict: Verdict,
-    far: float,
-    limits: Limits,
-    draw: Callable[[Path], Sequence[tuple[float, bytes]]],
+    verdict: Verdict, far: float, frames: Sequence[tuple[float, bytes]] | OracleError
 ) -> _Shown:
-    more, frames = verdict.contract[MOST_BREACHES:], list[tuple[float, bytes]]()
+    more = verdict.contract[MOST_BREACHES:]
     remarks = [*map(family_as_text, verdict.families), *more, *verdict.notes]
-    if verdict.outcome != "error":
-        try:
-            frames = list(run_isolated(draw, Path(verdict.recording), limits))
-        except OracleError as error:
-            remarks.append(f"It is not drawn: {error}")
+    if isinstance(frames, OracleError):
+        remarks.append(f"It is not drawn: {frames}")
+        frames = ()
     sentences = [
         *verdict.cautions, *breaches(verdict, "the remarks list all"), _sentence(verdict, far),
         *verdict.differences, *beside(verdict),

@@ -9,7 +9,10 @@ import os
 import resource
 import signal
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from multiprocessing.connection import Connection
@@ -21,6 +24,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.bags.merging import Messages
 from oracle_pipeline.bags.processes import FINDS_OURS, no_program
+from oracle_pipeline.bags.terminal import progress_bar
 from oracle_pipeline.features import FeatureManager, FeatureTables, build_manager, extract
 from oracle_pipeline.features.engine.kept_messages import KeptMessages
 from oracle_pipeline.features.engine.timeline import Timeline
@@ -34,10 +38,14 @@ from oracle_pipeline.scoring.blocks import Origin, origin_of
 from oracle_pipeline.scoring.contract import Observation, Observer
 
 T = TypeVar("T")
+J = TypeVar("J")
+R = TypeVar("R")
 #: Returns sentences on a recording whose messages it gets, and a collector that has seen them.
 Check: TypeAlias = Callable[[KeptMessages, SignalCollector], Sequence[str]]
 
+MOST_AT_ONCE = 8  # processes, each of which may take gibibytes
 _GIB = 2**30
+_STARTING = threading.Lock()  # while a process is started, this one has no program
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +129,42 @@ def extract_isolated(
     return run_isolated(partial(extracted, plugins=manager.folder, reading=reading), path, limits)
 
 
+def extract_each(
+    paths: Sequence[Path],
+    manager: FeatureManager,
+    limits: Limits = DEFAULT_LIMITS,
+    reading: Reading = Reading(),  # noqa: B008 -- immutable
+    desc: str = "",
+) -> Iterator[tuple[Path, list[Extracted] | OracleError | OSError]]:
+    """Yield the features of recordings, or what is wrong with one, with a bar on the terminal.
+
+    Parameters are those of `extract_isolated`.
+    """
+
+    def extract_or_tell(path: Path) -> list[Extracted] | OracleError | OSError:
+        try:
+            return extract_isolated(path, manager, limits, reading)
+        except (OracleError, OSError) as error:
+            return error
+
+    found = in_order(extract_or_tell, paths)
+    bar = progress_bar(found, unit="recording", total=len(paths), desc=desc)
+    yield from zip(paths, bar, strict=True)
+
+
+def in_order(function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[R]:
+    """Yield the results of a function that waits for a process, for a few jobs at once."""
+    at_once = min(os.cpu_count() or 1, MOST_AT_ONCE)
+    with ThreadPoolExecutor(at_once) as pool:
+        begun: deque[Future[R]] = deque()
+        for job in jobs:
+            begun.append(pool.submit(function, job))
+            if len(begun) > 2 * at_once:  # results of others may wait in memory
+                yield begun.popleft().result()
+        while begun:
+            yield begun.popleft().result()
+
+
 def extracted(
     path: Path,
     plugins: Path | None = None,
@@ -191,7 +235,7 @@ def run_isolated(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT
     context = _context(getattr(work, "func", work).__module__)
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(sender, work, path, limits), daemon=True)
-    with no_program():
+    with _STARTING, no_program():
         process.start()
     sender.close()  # so that the pipe closes when the process ends
     try:

@@ -16,7 +16,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.bags.terminal import progress_bar
 from oracle_pipeline.datasets import MISSING
 from oracle_pipeline.detectors import SignalScaler, by_family, explain
 from oracle_pipeline.features import FeatureManager, FeatureTables
@@ -36,7 +35,7 @@ from oracle_pipeline.scoring.isolation import (
     Extracted,
     Limits,
     Reading,
-    extract_isolated,
+    extract_each,
 )
 from oracle_pipeline.scoring.lengths import comparable_tables, is_outside
 from oracle_pipeline.scoring.likeness import LEAST, likeness
@@ -133,11 +132,12 @@ def score(
         choices = reference.roles if known is None else replace(reference.roles, topics={})
     reading = Reading(strict, choices, known, check=check)
     paths = [each for path in recordings for each in list(recordings_below(path)) or [path]]
-    verdicts = [
-        verdict
-        for path in progress_bar(paths, unit="recording")
-        for verdict in _judge_robots(path, reference, manager, limits, reading)
-    ]
+    verdicts: list[Verdict] = []
+    for path, robots in extract_each(paths, manager, limits, reading):
+        if isinstance(robots, Exception):
+            verdicts.append(Verdict(str(path), "error", error=str(robots)))
+        else:
+            verdicts += [_judge_robot(each, reference) for each in robots]
     if not hold_to_contract:
         verdicts = [replace(each, contract=()) for each in verdicts]
     verdicts = [replace(each, card=reference.origin) for each in verdicts]
@@ -201,17 +201,6 @@ def _unsupported(blocks: int, size: int, far: float) -> str:
         f"{needed} are needed, {needed - blocks} more; or allow a higher rate with --far."
     )
     return alone + (" Or judge each by itself, without --suite." if size > 1 else "")
-
-
-def _judge_robots(
-    path: Path, reference: CardSource, manager: FeatureManager, limits: Limits, reading: Reading
-) -> list[Verdict]:
-    """Return a verdict for each robot of a recording, or one verdict with the error."""
-    try:
-        robots = extract_isolated(path, manager, limits, reading)
-    except (OracleError, OSError) as error:
-        return [Verdict(str(path), "error", error=str(error))]
-    return [_judge_robot(each, reference) for each in robots]
 
 
 def _judge_robot(extracted: Extracted, reference: CardSource) -> Verdict:

@@ -9,10 +9,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags import layout
-from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.parts import NO_CHECKSUM, is_recording
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
-from oracle_pipeline.bags.terminal import printable, progress_bar
+from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.datasets import KEYS, feature_dataset, read_table, window_dataset
 from oracle_pipeline.features import FeatureManager, FeatureTables
 from oracle_pipeline.logs.formats import logs_at
@@ -21,7 +20,7 @@ from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.blocks import Origin, blocks
 from oracle_pipeline.scoring.comparable import join_first
 from oracle_pipeline.scoring.contract import Observation
-from oracle_pipeline.scoring.isolation import Reading, extract_isolated
+from oracle_pipeline.scoring.isolation import Reading, extract_each
 from oracle_pipeline.scoring.verdict import ScoringError
 from oracle_pipeline.windows import SHORTEST_S
 
@@ -112,11 +111,10 @@ def _extracted(
     below = {path: list(recordings_below(path)) for path in paths}
     notes += [f"{path} holds no recording; it is left out." for path in below if not below[path]]
     recordings = list(dict.fromkeys(each for found in below.values() for each in found))
-    for path in progress_bar(recordings, unit="recording", desc="reference"):
-        try:
-            robots = extract_isolated(path, manager, reading=Reading(choices=choices, paced=True))
-        except (OracleError, OSError) as error:
-            notes.append(f"{path} is left out of the reference: {error}")
+    reading = Reading(choices=choices, paced=True)
+    for path, robots in extract_each(recordings, manager, reading=reading, desc="reference"):
+        if isinstance(robots, Exception):
+            notes.append(f"{path} is left out of the reference: {robots}")
             continue
         robots = [each for each in robots if len(each.tables.windows)]
         if not robots:

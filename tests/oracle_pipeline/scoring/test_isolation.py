@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from threading import Barrier
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.features.statistics.reduction import quantile_of
-from oracle_pipeline.scoring.isolation import Limits, extract_isolated
+from oracle_pipeline.scoring.isolation import Limits, extract_each, extract_isolated, in_order
 from tests.oracle_pipeline.bags.conftest import STRING, text
 
 PLUGIN = """
@@ -64,6 +65,26 @@ def test_features_are_computed_in_the_other_process(bag, tmp_path):
 def test_a_process_that_dies_is_an_error_with_its_reason(what, limits, reason, bag, tmp_path):
     with pytest.raises(BagError, match=reason):
         extract_isolated(bag, manager_that(what, tmp_path / "plugins"), limits)
+
+
+def test_recordings_are_read_at_once_and_come_in_order_with_what_is_wrong(bag, tmp_path):
+    program, plain = sys.modules["__main__"], manager_that("pass", tmp_path / "plugins")
+    paths = [bag, tmp_path / "none", *[bag] * 8]
+    found = list(extract_each(paths, plain))
+    assert [path for path, _ in found] == paths
+    assert [isinstance(robots, BagError) for _, robots in found] == [False, True] + [False] * 8
+    assert sys.modules["__main__"] is program
+
+
+def test_jobs_run_at_once_and_their_results_come_in_order(monkeypatch):
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    two = Barrier(2, timeout=60.0)
+
+    def job(number):
+        two.wait()
+        return number
+
+    assert list(in_order(job, range(20))) == list(range(20))
 
 
 def test_memory_of_a_process_is_limited(bag, tmp_path):
