@@ -3,7 +3,8 @@
 A number is treated as what it is. Stamps and texts are left out. A quaternion becomes roll, pitch,
 yaw and norm, a covariance its trace. Short arrays are signals by index, or by label where the
 message has labels. Of a long array there are mean, spread, minimum, maximum and the share of finite
-numbers. Transforms are signals by their pair of frames.
+numbers. Transforms are signals by their pair of frames. Their rotations are the axes of the child,
+because links of an arm pass the poles, where roll and yaw flip by half a turn.
 """
 
 import math
@@ -101,15 +102,32 @@ def _fields(
 
 
 def _rotation(q: Columns, path: str) -> Iterator[_Field]:
-    x, y, z, w = (np.asarray(getattr(q, name), dtype=np.float64) for name in "xyzw")
-    norm = np.sqrt(x * x + y * y + z * z + w * w)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        x, y, z, w = x / norm, y / norm, z / norm, w / norm
+    (x, y, z, w), norm = _unit(q)
+    with np.errstate(invalid="ignore"):
         pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
     yield f"{path}.roll", "rad", np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     yield f"{path}.pitch", "rad", pitch
     yield f"{path}.yaw", "rad", np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     yield f"{path}.norm", "1", norm
+
+
+def _axes(q: Columns, path: str) -> Iterator[_Field]:
+    """Yield the directions of a child's x and z axis in the frame of its parent."""
+    (x, y, z, w), _ = _unit(q)
+    yield f"{path}.x_axis.x", "1", 1.0 - 2.0 * (y * y + z * z)
+    yield f"{path}.x_axis.y", "1", 2.0 * (x * y + w * z)
+    yield f"{path}.x_axis.z", "1", 2.0 * (x * z - w * y)
+    yield f"{path}.z_axis.x", "1", 2.0 * (x * z + w * y)
+    yield f"{path}.z_axis.y", "1", 2.0 * (y * z - w * x)
+    yield f"{path}.z_axis.z", "1", 1.0 - 2.0 * (x * x + y * y)
+
+
+def _unit(q: Columns) -> tuple[Floats, Floats]:
+    """Return x, y, z and w of quaternions of unit length, shape (4, n), and what they had."""
+    numbers = np.stack([getattr(q, name) for name in "xyzw"]).astype(np.float64)
+    norm = np.sqrt((numbers * numbers).sum(axis=0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return numbers / norm, norm
 
 
 def _array(arrays: Any, path: str, unit: str, labels: Sequence[str]) -> Iterator[_Field]:
@@ -204,7 +222,11 @@ def _transforms(messages: Columns, store: Typestore, msgtype: str, most: int) ->
         pairs = np.array(
             [f"{p}-{c}".replace("/", "_") for p, c in zip(parents, children, strict=True)]
         )
-        fields = list(_fields(each.transform, store, "geometry_msgs/msg/Transform", "", "", 0))
+        place, rotation = each.transform.translation, each.transform.rotation
+        fields = [
+            *_fields(place, store, "geometry_msgs/msg/Vector3", "translation", "m", 0),
+            *_axes(rotation, "rotation"),
+        ]
         for pair in np.unique(pairs)[: max(1, most // max(len(fields), 1))].tolist():
             of_pair = np.flatnonzero(pairs == pair)
             yield _together(

@@ -5,12 +5,15 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from oracle_pipeline import features
+from oracle_pipeline.bags.types import message_class
 from oracle_pipeline.datasets import signal_columns
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.features.signals.statistics import OF_RUN
 from oracle_pipeline.opened_run import open_run
+from tests.oracle_pipeline.features.test_transforms import transform
 
 MANAGER = build_manager()
 COUNT = 200
@@ -81,6 +84,30 @@ def test_nested_fields_quaternions_covariances_and_arrays_are_signals(bag_of, me
     assert "signals./odom/pose.covariance.trace.mean" in found
     assert found["signals./scan/ranges.mean.mean"] == pytest.approx(1.0)
     assert not [name for name in found if "stamp" in name or "frame_id" in name]
+
+
+def test_links_that_pass_the_pole_on_either_side_have_the_same_signals(bag_of):
+    angles = np.linspace(1.2, 1.9, COUNT)
+    found = signals_of(bag_of([
+        (time_s, "/tf", link(time_s, child, Rotation.from_euler("yz", (angle, side))))
+        for child, side in (("left", -0.001), ("right", 0.001))
+        for time_s, angle in zip(TIME_S, angles, strict=True)
+    ]))  # fmt: skip
+    left, right = (
+        {name.partition(".rotation.")[2]: value for name, value in found.items() if child in name}
+        for child in ("left", "right")
+    )
+    assert left == pytest.approx(right, abs=0.01)
+    assert left["z_axis.x.mean"] > 0.9
+    assert max(value for name, value in left.items() if name.endswith(".change")) < 0.01
+
+
+def link(time_s, child, turn):
+    """Return the transform of a link that has turned."""
+    message = transform(time_s, "arm", child, 0j, 0.0)
+    rotation = message_class("geometry_msgs/msg/Quaternion")(*turn.as_quat())
+    message.transforms[0].transform.rotation = rotation
+    return message
 
 
 def test_robot_without_features_of_its_own_has_hundreds_of_signals(tmp_path):
