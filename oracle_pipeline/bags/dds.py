@@ -243,15 +243,9 @@ class RawReader:
     ) -> None:
         self.lost = self._taken = 0
         self._arrived = np.zeros(1, np.int64)
+        reader = _foreign_reader if others_only else sub.DataReader
         self.topic, self.entity = _endpoint(
-            _foreign_reader if others_only else sub.DataReader,
-            "subscribe to",
-            participant,
-            name,
-            msgtype,
-            qos,
-            store,
-            self._arrived,
+            reader, "subscribe to", participant, name, msgtype, qos, store, self._arrived
         )
 
     @property

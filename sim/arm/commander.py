@@ -71,11 +71,8 @@ class PickAndPlace(Node):
         subscribe(ros.WRENCH, "/force_torque_sensor_broadcaster/wrench", self._on_wrench)
         self.results: list[GoalProgress] = []
         self.is_over = False
-        self._joints, self._finger, self._seen = (
-            np.array(cell.HOME),
-            cell.FINGER_M,
-            Pose(0.0, 0.0, 0.0),
-        )
+        self._joints, self._finger = np.array(cell.HOME), cell.FINGER_M
+        self._seen = Pose(0.0, 0.0, 0.0)
         self._trouble = ""
 
     def run(self, places: Sequence[Pose], on_goal: Callable[[int], None]) -> None:
