@@ -155,14 +155,16 @@ def extract_each(
 def in_order(function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[R]:
     """Yield the results of a function that waits for a process, for a few jobs at once."""
     at_once = min(os.cpu_count() or 1, MOST_AT_ONCE)
-    with ThreadPoolExecutor(at_once) as pool:
-        begun: deque[Future[R]] = deque()
+    pool, begun = ThreadPoolExecutor(at_once), deque[Future[R]]()
+    try:
         for job in jobs:
             begun.append(pool.submit(function, job))
             if len(begun) > 2 * at_once:  # results of others may wait in memory
                 yield begun.popleft().result()
         while begun:
             yield begun.popleft().result()
+    finally:  # after an interrupt, nothing more begins
+        pool.shutdown(cancel_futures=True)
 
 
 def extracted(
@@ -269,6 +271,7 @@ def _work(sender: Connection, work: Callable[[Path], object], path: Path, limits
     """Work in the other process, and send the result."""
     size = int(limits.gibibytes * _GIB)
     resource.setrlimit(resource.RLIMIT_DATA, (size, size))
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it without a traceback
     os.environ.pop(FOLDER_VARIABLE, None)  # the server may have an outdated value
     answer: object
     try:
