@@ -41,7 +41,7 @@ def headline(verdict: Verdict) -> str:
     if verdict.outcome == "normal":
         return "It behaved as the normal runs did."
     clear = clearest(verdict.evidence) if verdict.evidence else None
-    is_plain = verdict.outcome == "breach" or clear is None or not _phrase(clear.feature)
+    is_plain = verdict.outcome == "breach" or clear is None or not _phrase(clear)
     if verdict.contract and is_plain:
         return verdict.contract[0]
     if clear is None:
@@ -93,7 +93,7 @@ def _when(evidence: Evidence) -> str:
 
 
 def _text(evidence: Evidence, value: str, usual: str) -> str:
-    feature, phrase = evidence.feature, _phrase(evidence.feature)
+    feature, phrase = evidence.feature, _phrase(evidence)
     if topic := topic_of_signal(feature):
         signal, _, statistic = feature.removeprefix(f"{SIGNALS}{topic}/").rpartition(".")
         words = _STATISTICS.get(statistic, statistic)
@@ -113,14 +113,18 @@ def _text(evidence: Evidence, value: str, usual: str) -> str:
 def clearest(evidence: Sequence[Evidence]) -> Evidence:
     """Return the farthest feature that has a phrase, unless another is much farther."""
     farthest = abs(evidence[0].z)
-    clear = (e for e in evidence if _is_clear(e.feature) and abs(e.z) >= _CLEAR * farthest)
+    clear = (e for e in evidence if _is_clear(e) and abs(e.z) >= _CLEAR * farthest)
     return next(clear, evidence[0])
 
 
-def _is_clear(feature: str) -> bool:
-    return bool(_phrase(feature) or topic_of_signal(feature))
+def _is_clear(evidence: Evidence) -> bool:
+    return bool(_phrase(evidence) or topic_of_signal(evidence.feature))
 
 
-def _phrase(feature: str) -> str:
-    fitting = (phrase for glob, phrase in _PHRASES.items() if fnmatchcase(feature, glob))
+def _phrase(evidence: Evidence) -> str:
+    usual = max(abs(evidence.usual_low), abs(evidence.usual_high))
+    names = evidence.feature, f"{evidence.feature}{'+' if abs(evidence.value) > usual else '-'}"
+    fitting = (
+        phrase for glob, phrase in _PHRASES.items() if any(fnmatchcase(n, glob) for n in names)
+    )
     return next(fitting, "")

@@ -29,7 +29,7 @@ def test_sentence_says_how_much_usual_and_when():
 
 
 def test_every_phrase_is_used():
-    used = {_phrase(feature) for feature in FEATURES}
+    used = {_phrase(evidence(feature)) for feature in FEATURES}
     assert [phrase for phrase in _PHRASES.values() if phrase not in used] == []
 
 
@@ -57,6 +57,12 @@ def test_feature_without_a_phrase_is_called_a_statistic():
     assert sentence(evidence("my_plugin.value")).startswith(
         "Only a statistic is unusual: my_plugin"
     )
+
+
+def test_less_disagreement_than_usual_is_not_called_one():
+    told = evidence("redundancy.scan_contradicted")
+    assert "see different things" in sentence(told)
+    assert sentence(replace(told, value=0.1)).startswith("Only a statistic is unusual: redundancy")
 
 
 def test_headline_prefers_what_people_understand_unless_another_is_much_farther():
