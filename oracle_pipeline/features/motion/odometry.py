@@ -24,7 +24,7 @@ from oracle_pipeline.robots.roles import ODOMETRY
 FEATURES = (
     Feature(
         "yaw_variance", "1", 1e-3, "circular variance of yaw, 1 - abs(mean(exp(i yaw)))", "domain",
-        behaviour=True,
+        behaviour=True, extensive=True,
     ),
     Feature(
         "total_turning", "rad", 0.05, "sum of the absolute yaw changes", "domain",

@@ -76,7 +76,7 @@ def compute(window: Window) -> Values | Missing:
     counted = _counted(goals, window.end_s)
     none = Missing("no goal ended")
     return {
-        "duration": _time_under_way(goals, window),
+        "duration": time_under_way(goals, window),
         "goals_reached": sum(g.reached for g in counted) / len(counted) if counted else none,
         "time_per_planned_metre": _time_per_planned_metre(goals, window),
     }
@@ -225,7 +225,9 @@ def _counted(goals: list[Goal], now_s: float) -> list[Goal]:
     return [g for g in goals if g.ended_s is not None or now_s - g.accepted_s > longest_s]
 
 
-def _time_under_way(goals: list[Goal], window: Window) -> float:
+def time_under_way(goals: list[Goal], window: Window) -> float:
+    """Return how much of the window had an active goal [s]."""
+
     def overlap_s(goal: Goal) -> float:
         ended_s = window.end_s if goal.ended_s is None else min(goal.ended_s, window.end_s)
         return max(0.0, ended_s - max(goal.accepted_s, window.start_s))

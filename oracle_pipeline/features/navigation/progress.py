@@ -26,7 +26,7 @@ from oracle_pipeline.features.engine.plugin import (
 from oracle_pipeline.features.geometry.scans import Floats, Ints, Points
 from oracle_pipeline.features.motion import odometry
 from oracle_pipeline.features.navigation import goals
-from oracle_pipeline.features.navigation.goals import GOAL_TOPICS, PLANS, Goal
+from oracle_pipeline.features.navigation.goals import GOAL_TOPICS, PLANS, Goal, time_under_way
 from oracle_pipeline.features.statistics.reduction import mean, quantile, within
 from oracle_pipeline.robots.roles import BEHAVIOR_TREE, ODOMETRY
 
@@ -42,7 +42,8 @@ _RECOVERY_FEATURES = (
 )  # fmt: skip
 PLAN_FEATURES = (
     Feature(
-        "replans", "1/min", 1.0, "plans to active goals per minute", "navigation", behaviour=True,
+        "replans", "1/min", 1.0, "plans to active goals per minute with one", "navigation",
+        behaviour=True,
     ),
     Feature(
         "plan_lengthening", "m", 0.05,
@@ -79,6 +80,7 @@ _RECOVERIES = ("Spin", "BackUp", "Wait", "DriveOnHeading")  # in Nav2's behaviou
 _CLEARING = "Clear"  # prefix of the names of nodes that clear a costmap
 
 _STALLED_S, _STALLED_M = 5.0, 0.1
+_LEAST_S = 5.0  # of time under way that plans are counted in: a window
 _STEP_S = 0.2  # between the times at which stalling is determined
 
 
@@ -86,6 +88,7 @@ _STEP_S = 0.2  # between the times at which stalling is determined
 class _Plans:
     """Plans made while a goal was active."""
 
+    goals: list[Goal]
     made: Series  # lengths [m]
     lengthening: Series  # of a plan against the one before to the same goal [m]
     progress: Series  # [m/s]
@@ -132,6 +135,7 @@ def _prepare_plans(window: Window) -> _Plans | Missing:
     same = (goal[1:] == goal[:-1]) & (goal[1:] >= 0) & (np.diff(times_s) > 0.0)
     after_s, change_m = times_s[1:][same], np.diff(lengths_m)[same]
     return _Plans(
+        accepted,
         Series(times_s[goal >= 0], lengths_m[goal >= 0]),
         Series(after_s, np.maximum(0.0, change_m)),
         Series(after_s, -change_m / np.diff(times_s)[same]),
@@ -142,11 +146,12 @@ def _compute_plans(window: Window) -> Values:
     """Reduce to the window."""
     plans: _Plans = window.prepared
     count = len(plans.made.times_s[within(plans.made.times_s, window)])
+    under_way_s = max(time_under_way(plans.goals, window), _LEAST_S)
     single = Missing("no goal had two plans in this window")
     lengthening = quantile(plans.lengthening, window, 0.95)
     progress = quantile(plans.progress, window, 0.5)
     return {
-        "replans": 60.0 * count / (window.end_s - window.start_s),
+        "replans": 60.0 * count / under_way_s,
         "plan_lengthening": single if math.isnan(lengthening) else lengthening,
         "progress": single if math.isnan(progress) else progress,
     }
