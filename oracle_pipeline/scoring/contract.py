@@ -327,9 +327,7 @@ class Contract:
 
     def _of_relay(self, name: str, seen: Observation) -> Iterable[Breach]:
         for source, usual in self.relays.get(name, {}).items():
-            # Two topics that are copies of each other are reported once.
-            reported = source < name and self._is_altered(source, name, seen)
-            if self._is_altered(name, source, seen) and not reported:
+            if self._is_altered(name, source, seen):
                 copies = seen.relays[name].get(source)
                 share = 0.0 if copies is None else copies.share
                 usually = "all" if usual == 1.0 else f"at least {usual:.1%}"

@@ -232,8 +232,8 @@ class CrossConformalScorer:
     def _weights(self, counts: NDArray[np.intp]) -> NDArray[np.float64]:
         """Return what each level counts for recordings of so many windows, (n_runs, n_levels).
 
-        A mean over a short recording scatters more, by the root of its length. In a long one,
-        signals reach farther, so their statistics over the whole do not count beside others.
+        A mean over a short recording scatters more, by the root of its length. Signals depend on the
+        way, so beside others, their statistics over a shorter or longer one do not count.
         """
         weights = np.ones((len(counts), len(self.levels_)))
         if self.lengths is None:
@@ -243,7 +243,7 @@ class CrossConformalScorer:
         weights[:, of_whole] = np.sqrt(np.minimum(counts / shortest, 1.0))[:, np.newaxis]
         reaching = np.array([level in WHOLE_SIGNALS for level in self.levels_])
         if not reaching.all():
-            weights[np.ix_(counts > longest, reaching)] = 0.0
+            weights[np.ix_((counts < shortest) | (counts > longest), reaching)] = 0.0
         return weights
 
     def _combined(

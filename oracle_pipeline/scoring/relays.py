@@ -63,17 +63,19 @@ class Fingerprints:
             if total <= MOST_MESSAGES
         ]
         self._hashes = {number: array("q") for numbers in self._groups for number in numbers}
+        self._times = {number: array("q") for number in self._hashes}
 
     def add(self, batch: Messages, number: int, rows: Rows) -> None:
         """Take the hashes of the next messages of a topic: some rows of a batch."""
         if (hashes := self._hashes.get(number)) is not None:
             hashes.extend(map(hash, batch.messages(rows)))
+            self._times[number].extend(batch.stamps_ns[rows].tolist())
 
     def relays(self) -> dict[str, dict[str, Copies]]:
         """Return the topics that can be relays, and their copies: topic -> source -> copies.
 
-        A topic without any copy has an empty entry. A topic with fewer than `FEWEST` different
-        messages has none, because these may be equal by chance.
+        A copy comes after its source. A topic without any copy has an empty entry. A topic
+        with fewer than `FEWEST` different messages has none, because these may be equal by chance.
         """
         found: dict[str, dict[str, Copies]] = {}
         for numbers in self._groups:
@@ -85,9 +87,18 @@ class Fingerprints:
                     found[self._names[number]] = {
                         self._names[other]: Copies(int(equal[row, column]), count)
                         for column, other in enumerate(numbers)
-                        if other != number and equal[row, column]
+                        if other != number and equal[row, column] and self._follows(number, other)
                     }
         return found
+
+    def _follows(self, topic: int, source: int) -> bool:
+        """Return whether what two topics share came on the source first; of two at once, one is."""
+        ours, theirs = (  # of equal messages, the time of the first is set last
+            dict(zip(reversed(self._hashes[each]), reversed(self._times[each]), strict=True))
+            for each in (topic, source)
+        )
+        later = float(np.median([ours[key] - theirs[key] for key in ours.keys() & theirs]))
+        return later > 0.0 or (later == 0.0 and self._names[source] < self._names[topic])
 
 
 def _occurrences(hashes: "list[array[int]]") -> "csr_array[np.int64]":
