@@ -232,8 +232,8 @@ class CrossConformalScorer:
     def _weights(self, counts: NDArray[np.intp]) -> NDArray[np.float64]:
         """Return what each level counts for recordings of so many windows, (n_runs, n_levels).
 
-        A mean over a short recording scatters more, by the root of its length. Signals depend on the
-        way, so beside others, their statistics over a shorter or longer one do not count.
+        A mean over a short recording scatters more, by the root of its length. Signals depend on
+        the way, so their statistics over a shorter or longer one do not count beside others.
         """
         weights = np.ones((len(counts), len(self.levels_)))
         if self.lengths is None:

@@ -1,16 +1,20 @@
 """Recordings of other lengths than those of a reference."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from oracle_pipeline.datasets import MISSING, Fields, feature_columns
 from oracle_pipeline.features import FeatureTables
+from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.lengths import comparable_tables
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from tests.oracle_pipeline.scoring.test_cross_conformal import learned, runs
+from oracle_pipeline.scoring.run_scorer import OF_FEATURES, OF_SIGNALS
+from tests.oracle_pipeline.scoring.test_cross_conformal import design, learned, runs
 
+SIGNAL = "signals./imu/angular_velocity.z.mean"
 TOTAL, *RATES = feature_columns(runs(1, seed=0).features)
 
 
@@ -45,3 +49,27 @@ def test_the_same_run_over_a_shorter_time_may_scatter_more():
         for count in (shortest, shortest // 4)
     ]
     assert scores[1] < 0.7 * scores[0]
+
+
+@pytest.mark.parametrize("times", [0.5, 1, 2])
+def test_beside_features_signals_of_the_whole_count_only_within_the_lengths(times):
+    normal = with_signal(runs(20, seed=0), 0.0)
+    described = replace(design(normal), run_signals=[SIGNAL], levels=(*OF_FEATURES, *OF_SIGNALS))
+    scorer = CrossConformalScorer(described).fit(normal, np.random.default_rng(0))
+    windows = runs(1, seed=2).windows
+    count = round(times * len(windows))
+    windows = windows.iloc[np.resize(np.arange(len(windows)), count)]
+    windows = windows.assign(window_start_s=2.5 * np.arange(count))
+    near, far = (
+        scorer.scores(MeasuredRuns.ordered(with_signal(runs(1, seed=2), off).features, windows))
+        for off in (0.0, 100.0)
+    )
+    assert (far.max() > near.max() + 5.0) == (times == 1)
+
+
+def with_signal(measured, off):
+    """Add the mean of a signal to the features of runs."""
+    rng = np.random.default_rng(3)
+    columns = {SIGNAL: off + rng.normal(size=len(measured.features))}
+    features = measured.features.assign(**columns)
+    return MeasuredRuns.ordered(features, measured.windows)
