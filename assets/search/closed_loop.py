@@ -36,11 +36,8 @@ REPEATS = 4  # of each block, with other noise
 SHARE = 0.15  # relative change of the control's path or time that is an effect on the task
 # Smallest difference of other quantities that is an effect.
 STEPS: Mapping[str, float] = {
-    "clearance_m": 0.05,
-    "goals_reached": 1.0,
-    "recoveries": 1.0,
-    "commands_altered": 0.05,
-}
+    "clearance_m": 0.05, "goals_reached": 1.0, "recoveries": 1.0, "commands_altered": 0.05,
+}  # fmt: skip
 FEATURES = "features"  # what a verdict holds against a recording by its p-value
 MOVED_SCALES = 3.0  # difference from the control from which a feature counts as changed
 

@@ -23,11 +23,8 @@ UNKNOWN_WORLD = "unknown"  # of runs of older releases
 SCHEMA_VERSION = 5
 # Fields that older versions lack or define differently, with their default values.
 _DEFAULTS: dict[str, Any] = {
-    "attack_seed": None,
-    "drive": None,
-    "task_effect": None,
-    "world": UNKNOWN_WORLD,
-}
+    "attack_seed": None, "drive": None, "task_effect": None, "world": UNKNOWN_WORLD,
+}  # fmt: skip
 _ADDED_SINCE = {2: {"changes": [], **_DEFAULTS}, 3: _DEFAULTS, 4: _DEFAULTS}
 _SEALED_SINCE = 4
 _SEAL = "seal"  # a key of the file; a manifest in memory has none

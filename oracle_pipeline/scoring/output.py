@@ -20,13 +20,8 @@ from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
 
 # From the best to the worst; the worst of a suite counts.
 EXIT_CODES: dict[Judgement, int] = {
-    "normal": 0,
-    "breach": 1,
-    "anomalous": 1,
-    "unsupported": 2,
-    "another system": 2,
-    "error": 2,
-}
+    "normal": 0, "breach": 1, "anomalous": 1, "unsupported": 2, "another system": 2, "error": 2,
+}  # fmt: skip
 _SHOWN: dict[Judgement, str] = {
     "normal": "normal",
     "breach": "BREACH",
@@ -36,10 +31,9 @@ _SHOWN: dict[Judgement, str] = {
     "error": "COULD NOT JUDGE",
 }
 _TALLIED: dict[Judgement, str] = {
-    "unsupported": "without a verdict",
-    "another system": "of another system",
+    "unsupported": "without a verdict", "another system": "of another system",
     "error": "not judged",
-}
+}  # fmt: skip
 _WIDTH = len("NO VERDICT")
 
 RATES = (0.05, 0.01)  # false positive rates for which missing blocks are reported

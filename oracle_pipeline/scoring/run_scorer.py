@@ -86,10 +86,9 @@ class Design:
 
     def columns(self, level: str) -> Sequence[str]:
         """Return the columns of a level."""
-        if level in (PLAIN, "range"):
-            return [c for c in self.run_signals if c.rpartition(".")[2] in PLAIN_STATISTICS]
-        if level == "farthest":  # extremes are far by chance
-            return [c for c in self.run_signals if c.rpartition(".")[2] in OF_WINDOW]
+        if level in (PLAIN, *BEYOND):
+            some = OF_WINDOW if level == "farthest" else PLAIN_STATISTICS  # extremes are chance
+            return [c for c in self.run_signals if c.rpartition(".")[2] in some]
         if level in OF_SIGNALS:
             return self.window_signals if level in OF_WINDOWS else self.run_signals
         return self.window_features if level in OF_WINDOWS else self.run_features
