@@ -24,7 +24,7 @@ from sim.nav2.dwb_sampling import Parameters
 from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.messages import TWIST, twist_bytes, twist_message
 from sim.nav2.parameters import of_node
-from sim.nav2.paths import PATH, Poses, length_ahead, path_bytes, path_poses
+from sim.nav2.paths import PATH, length_ahead, path_bytes, path_poses, sent_poses
 from sim.nav2.rotation_shim import RotationShim
 
 _Feedback = message_class("nav2_msgs/action/FollowPath_Feedback")
@@ -190,7 +190,8 @@ class ControllerServer(LifecycleNode):
             self._goal_checker = GoalChecker()
         self._planner.set_plan(self._path, same_goal=same_goal)
         self._stamp_ns = stamp_ns(path.header.stamp)
-        self._publish_plan(self._path)
+        self._sent = sent_poses(path)
+        self._publish_plan()
 
     def _cycle(self) -> None:
         if self._goals[0].status is GoalStatus.CANCELING:
@@ -241,11 +242,12 @@ class ControllerServer(LifecycleNode):
         self._commands.publish(twist_message(*twist), twist_bytes(*twist))
         return self._goal_checker.is_reached(pose, from_path.compose(self._path_end))
 
-    def _publish_plan(self, plan: Poses) -> None:
+    def _publish_plan(self) -> None:
+        plan = self._sent[len(self._sent) - len(self._planner.plan) :]
         self._received.publish_serialized(path_bytes(self._stamp_ns, self._frame, plan))
 
     def _publish_plans(self, now_ns: int, cycle: Cycle, frame: str) -> None:
-        self._publish_plan(self._planner.plan)
+        self._publish_plan()
         self._transformed.publish_serialized(path_bytes(now_ns, frame, cycle.plan))
         self._local.publish_serialized(path_bytes(now_ns, frame, cycle.trajectory))
 

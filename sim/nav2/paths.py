@@ -32,8 +32,14 @@ def path_message(time_ns: int, frame: str, poses: Poses) -> Any:
 
 def path_poses(path: Any) -> Poses:
     """Return the poses of a path message."""
+    poses = sent_poses(path)
+    return _through_quaternions(poses) if isinstance(path.poses, _StampedPoses) else poses
+
+
+def sent_poses(path: Any) -> Poses:
+    """Return the poses of a path message that is sent on: they give the same bytes."""
     if isinstance(path.poses, _StampedPoses):
-        return path.poses.planar()
+        return path.poses.sent
     poses = [(p.pose.position.x, p.pose.position.y, pose_yaw(p.pose)) for p in path.poses]
     return np.array(poses, dtype=np.float64).reshape(-1, 3)
 
@@ -47,19 +53,15 @@ class _StampedPoses(Sequence[Any]):
     def __init__(self, time_ns: int, frame: str, poses: Poses) -> None:
         self._time_ns = time_ns
         self._frame = frame
-        self._poses = poses.copy()
+        self.sent = poses.copy()
 
     def __len__(self) -> int:
-        return len(self._poses)
+        return len(self.sent)
 
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
-        return pose_stamped(self._time_ns, self._frame, *self._poses[index].tolist())
-
-    def planar(self) -> Poses:
-        """Return the poses as an array."""
-        return _through_quaternions(self._poses)
+        return pose_stamped(self._time_ns, self._frame, *self.sent[index].tolist())
 
 
 @jit

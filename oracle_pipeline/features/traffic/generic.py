@@ -45,20 +45,15 @@ _SAMPLED_S = 2.5  # between the sampled messages
 _SHORTEST, _LONGEST = 256, 2048  # bytes: shortest sampled message, and how much of one is used
 _STRIDE = 8  # bytes between compared numbers: one of 64 bits, or two of 32
 
-_OVER_TOPICS = {
-    "max": "maximum over topics",
-    "min": "minimum over topics",
-    "mean": "mean over topics",
-}
+_OVER_TOPICS = {"max": "maximum", "min": "minimum", "mean": "mean"}  # over topics
 
 
 def _features(
     name: str, unit: str, floor: float, description: str, *, per_window: bool = True
 ) -> Iterator[Feature]:
     for reduction, words in _OVER_TOPICS.items():
-        yield Feature(
-            f"{name}_{reduction}", unit, floor, f"{description}, {words}", per_window=per_window
-        )
+        told = f"{description}, {words} over topics"
+        yield Feature(f"{name}_{reduction}", unit, floor, told, per_window=per_window)
 
 
 _TIMING_FEATURES = timed(

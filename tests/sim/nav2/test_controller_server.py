@@ -10,7 +10,7 @@ from sim.middleware.geometry import Pose2D
 from sim.middleware.stamps import stamp_ns
 from sim.nav2.controller_server import ControllerServer, GoalChecker, ProgressChecker
 from sim.nav2.costmap_node import LocalCostmap
-from sim.nav2.paths import PATH, path_message, path_poses
+from sim.nav2.paths import PATH, path_bytes, path_message, path_poses
 from tests.sim.nav2.robot import IdealRobot
 
 FollowPath = message_class("nav2_msgs/action/FollowPath_Goal")
@@ -210,6 +210,15 @@ def test_plans_go_out_with_every_cycle_in_their_frames(rig):
     ]
     assert path_poses(transformed[-1])[-1, 0] == pytest.approx(1.5 + rig.pose.x, abs=0.08)
     assert path_poses(local[-1])[0, 0] == pytest.approx(rig.pose.x, abs=0.03)
+
+
+def test_the_received_plan_has_the_bytes_of_the_one_that_was_sent(rig):
+    heard, path = [], line(2.0, end_yaw=0.06)  # a yaw that comes back from a quaternion changed
+    rig.create_subscription(PATH, "/received_global_plan", heard.append, raw=True)
+    sent = path_bytes(rig.now_ns, "map", path)
+    rig.follow(path)
+    rig.run(0.1)
+    assert set(heard) == {sent}
 
 
 def test_a_speed_limit_is_obeyed(rig):
