@@ -29,10 +29,8 @@ def _lz4() -> Any:
 
 
 _DECOMPRESSORS: dict[str, Callable[[], Any]] = {
-    "zstd": zstd.ZstdDecompressor,
-    "lz4": _lz4,
-    "bz2": bz2.BZ2Decompressor,
-}
+    "zstd": zstd.ZstdDecompressor, "lz4": _lz4, "bz2": bz2.BZ2Decompressor,
+}  # fmt: skip
 
 
 def decompress(packed: bytes, compression: str, size: int) -> bytes:

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
 from oracle_pipeline.scoring.alarms import NormalWindows
 from oracle_pipeline.scoring.conformal import ConformalError
+from oracle_pipeline.scoring.lengths import is_outside
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.run_scorer import (
     OF_SIGNALS,
@@ -238,12 +239,11 @@ class CrossConformalScorer:
         weights = np.ones((len(counts), len(self.levels_)))
         if self.lengths is None:
             return weights
-        shortest, longest = self.lengths
         of_whole = np.array([level not in OF_WINDOWS for level in self.levels_])
-        weights[:, of_whole] = np.sqrt(np.minimum(counts / shortest, 1.0))[:, np.newaxis]
+        weights[:, of_whole] = np.sqrt(np.minimum(counts / self.lengths[0], 1.0))[:, np.newaxis]
         reaching = np.array([level in WHOLE_SIGNALS for level in self.levels_])
         if not reaching.all():
-            weights[np.ix_((counts < shortest) | (counts > longest), reaching)] = 0.0
+            weights[np.ix_(is_outside(counts, self.lengths), reaching)] = 0.0
         return weights
 
     def _combined(

@@ -259,7 +259,7 @@ def _scored(
     others = card.runs[card.runs["block"] != block]
     deviations = explain(others, tables.run, columns) if design.uses_features else []
     signals = [column for column in design.run_signals if column in tables.run.columns]
-    if design.uses_features and is_outside(tables, card.scorer.lengths):
+    if design.uses_features and is_outside(len(tables.windows), card.scorer.lengths):
         signals = []  # they do not count for a recording of another length
     if signals:
         deviations += explain(others, tables.run, signals, SignalScaler)

@@ -8,10 +8,14 @@ own. How the scores of such a recording count is in ``CrossConformalScorer.score
 import json
 import math
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from oracle_pipeline.datasets import MISSING, feature_columns, field_metadata
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
+CLEARLY = 0.1  # share of the lengths, by which a recording has another one
 _GROWS = "it grows with the length of a recording"
 
 
@@ -27,7 +31,7 @@ def comparable_tables(
     lengths : tuple of int or None
         ``CrossConformalScorer.lengths``.
     """
-    if lengths is None or not is_outside(tables, lengths):
+    if lengths is None or not is_outside(len(tables.windows), lengths):
         return tables, ()
     windows = len(tables.windows)
     fields = field_metadata(tables.run)
@@ -47,9 +51,10 @@ def comparable_tables(
     return FeatureTables(run, tables.windows), (note,)
 
 
-def is_outside(tables: FeatureTables, lengths: tuple[int, int] | None) -> bool:
-    """Return whether a recording is longer or shorter than all normal ones."""
-    return lengths is not None and not lengths[0] <= len(tables.windows) <= lengths[1]
+def is_outside(windows: ArrayLike, lengths: tuple[int, int] | None) -> NDArray[np.bool_]:
+    """Return whether so many windows are clearly fewer or more than all normal recordings have."""
+    counts, (shortest, longest) = np.asarray(windows), lengths or (0, math.inf)
+    return np.asarray((counts < (1 - CLEARLY) * shortest) | (counts > (1 + CLEARLY) * longest))
 
 
 def _seconds(windows: int) -> str:
