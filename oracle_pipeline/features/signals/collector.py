@@ -14,6 +14,7 @@ from oracle_pipeline.bags.reader import BagReader, Topic
 from oracle_pipeline.features.engine.columns import SerializedMessages
 from oracle_pipeline.features.signals.fields import Numbers, numbers_of
 from oracle_pipeline.robots.robot import Robot
+from oracle_pipeline.robots.roles import is_static
 
 MOST_OF_TOPIC = 48  # signals of one topic
 MOST_SIGNALS = 320  # of a recording
@@ -41,6 +42,7 @@ class _Topic:
 
     def __init__(self, bag: BagReader, topic: Topic) -> None:
         self._msgtype = topic.msgtype
+        self._is_static = is_static(topic)
         self._store = bag.typestore(topic.msgtype)
         self._decode = bag.decoder(topic.name)
         self._is_cdr = topic.encoding != "ros1"
@@ -101,7 +103,9 @@ class _Topic:
         self._whole += len(rows)
         if len(rows):
             columns = batch.columns()
-            for each in numbers_of(columns, self._store, self._msgtype, MOST_OF_TOPIC):
+            for each in numbers_of(
+                columns, self._store, self._msgtype, MOST_OF_TOPIC, static=self._is_static
+            ):
                 self.found.append(each._replace(rows=rows[each.rows]))
 
     @property

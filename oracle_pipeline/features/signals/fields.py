@@ -43,7 +43,9 @@ class Numbers(NamedTuple):
     values: Floats  # shape (n, n_names)
 
 
-def numbers_of(messages: Columns, store: Typestore, msgtype: str, most: int) -> list[Numbers]:
+def numbers_of(
+    messages: Columns, store: Typestore, msgtype: str, most: int, *, static: bool = False
+) -> list[Numbers]:
     """Return the numbers of messages of one type.
 
     Parameters
@@ -56,6 +58,8 @@ def numbers_of(messages: Columns, store: Typestore, msgtype: str, most: int) -> 
         Of the messages.
     most : int
         Largest number of signals of the topic.
+    static : bool
+        Whether transforms never change: only norms are signals, the contract holds the rest.
     """
     fields = []
     for each in _fields(messages, store, msgtype, "", "", 0):
@@ -63,7 +67,7 @@ def numbers_of(messages: Columns, store: Typestore, msgtype: str, most: int) -> 
         if len(fields) == most:
             break
     found = [_together(fields, np.arange(len(messages)))] if fields else []
-    return [*found, *_transforms(messages, store, msgtype, most)]
+    return [*found, *_transforms(messages, store, msgtype, most, static)]
 
 
 def _together(fields: Sequence[_Field], rows: NDArray[np.int64]) -> Numbers:
@@ -210,7 +214,9 @@ def _is_transform(store: Typestore, msgtype: str) -> bool:
     return {"transform", "child_frame_id"} <= {name for name, _ in store.fielddefs[msgtype][1]}
 
 
-def _transforms(messages: Columns, store: Typestore, msgtype: str, most: int) -> Iterator[Numbers]:
+def _transforms(
+    messages: Columns, store: Typestore, msgtype: str, most: int, static: bool
+) -> Iterator[Numbers]:
     """Yield the numbers of transforms, by their pair of frames."""
     for name, (kind, what) in store.fielddefs[msgtype][1]:
         if kind not in (Nodetype.ARRAY, Nodetype.SEQUENCE) or what[0][0] != Nodetype.NAME:
@@ -223,10 +229,10 @@ def _transforms(messages: Columns, store: Typestore, msgtype: str, most: int) ->
             [f"{p}-{c}".replace("/", "_") for p, c in zip(parents, children, strict=True)]
         )
         place, rotation = each.transform.translation, each.transform.rotation
-        fields = [
-            *_fields(place, store, "geometry_msgs/msg/Vector3", "translation", "m", 0),
-            *_axes(rotation, "rotation"),
-        ]
+        fields = [("rotation.norm", "1", _unit(rotation)[1])]
+        if not static:
+            fields += _fields(place, store, "geometry_msgs/msg/Vector3", "translation", "m", 0)
+            fields += _axes(rotation, "rotation")
         for pair in np.unique(pairs)[: max(1, most // max(len(fields), 1))].tolist():
             of_pair = np.flatnonzero(pairs == pair)
             yield _together(
