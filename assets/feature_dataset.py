@@ -5,6 +5,7 @@ import dagster as dg
 from assets import presentation
 from assets.aggregates import DATASET, TRUTH, WINDOWS, aggregate
 from assets.partitions import RUNS
+from oracle_pipeline.bags import layout
 from resources.store import RunStore
 
 FEATURES_OF_RUNS = [
@@ -31,8 +32,10 @@ def feature_dataset(
     from oracle_pipeline import datasets
     from oracle_pipeline.evaluation.truth import truth_table
 
+    # In a bucket, asking for each possible run takes long: one listing tells the modes with any.
+    modes = {table.parent.name for table in layout.feature_tables(store.path, "run")}
     runs = [run for key in RUNS.get_partition_keys() for run in store.runs(key)]
-    extracted = [run for run in runs if kept_tables(run)]
+    extracted = [run for run in runs if run.mode in modes and kept_tables(run)]
     manifests = {run.key: run.manifest() for run in extracted if run.is_complete()}
     too_short = sorted(key for key, manifest in manifests.items() if manifest.onset_s is None)
     joined = [run for run in extracted if run.key not in too_short]
