@@ -17,10 +17,12 @@ from tests.oracle_pipeline.evaluation.campaigns import synthetic
 RIGHT = Observation({"/scan": ("sensor_msgs/msg/LaserScan", (), 5.0)}, frozenset({"node:/a"}))
 WRONG = replace(RIGHT, graph=frozenset({"node:/a", "node:/intruder"}))
 
+FEW = {"lidar_passthrough": "normal", "random_noise": "malicious", "benign_noise": "normal"}
+
 
 @pytest.fixture(scope="module")
 def campaign():
-    return synthetic(24, effect=2.0)
+    return synthetic(24, effect=2.0, modes=FEW)
 
 
 @pytest.fixture(scope="module")

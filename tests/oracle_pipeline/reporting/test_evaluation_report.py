@@ -44,9 +44,11 @@ def _quick(monkeypatch):
 def strong():
     steps = []
     report = oracle_evaluation(
-        *campaign(24, effect=20.0), graph_differences=[], grid=grid_of([1.0, 40.0], 2, used=24),
+        *campaign(24, effect=20.0, modes=FEW),
+        graph_differences=[],
+        grid=grid_of([1.0, 40.0], 2, used=24),
         progress=steps.append,
-    )  # fmt: skip
+    )
     return report, steps
 
 

@@ -20,8 +20,8 @@ from tests.oracle_pipeline.reporting.recordings import manifest
 ATTACKED, NORMAL, DROPPED = "delayed_fakeobject|run001", "benign_noise|run002", "fake_object|run004"
 
 
-def shown_runs(tmp_path, blocks=5):
-    features, windows, truth = campaign(blocks, effect=20.0)
+def shown_runs(tmp_path):
+    features, windows, truth = campaign(5, effect=20.0)
     evaluation = oracle_report_of(features, windows, truth)
     measured = MeasuredRuns.ordered(features, windows)
     labels = dict(zip(features["run_id"], features["label"], strict=True))
@@ -51,9 +51,17 @@ def shown_runs(tmp_path, blocks=5):
 
 
 @pytest.fixture(scope="module")
-def report(tmp_path_factory):
-    root = tmp_path_factory.mktemp("root")
-    shown = shown_runs(root)
+def root(tmp_path_factory):
+    return tmp_path_factory.mktemp("root")
+
+
+@pytest.fixture(scope="module")
+def shown(root):
+    return shown_runs(root)
+
+
+@pytest.fixture(scope="module")
+def report(root, shown):
     (root / "report" / "runs" / "stale").mkdir(parents=True)
     assert write_run_pages(shown, root / "report" / "runs") == 55
     return root / "report"
@@ -129,8 +137,8 @@ def test_the_page_of_a_run_has_both_scores_and_the_ground_truth(report):
     assert "not tampered" in page(report, NORMAL)
 
 
-def test_scores_keep_their_order_on_the_line_and_the_highest_normal_run_is_marked(tmp_path):
-    judged = shown_runs(tmp_path).evaluation.tables["runs"]
+def test_scores_keep_their_order_on_the_line_and_the_highest_normal_run_is_marked(shown):
+    judged = shown.evaluation.tables["runs"]
     standing = judged.groupby("mode", sort=False).first().reset_index()
     standing = standing.assign(runs=5, judged=0, called=0)
     plot = strip_plot(judged, standing, run_page)
@@ -143,6 +151,6 @@ def test_scores_keep_their_order_on_the_line_and_the_highest_normal_run_is_marke
     assert plot.ticks[0][1] == "0"
 
 
-def test_without_scores_there_is_no_plot(tmp_path):
-    judged = shown_runs(tmp_path).evaluation.tables["runs"].assign(score=np.nan)
+def test_without_scores_there_is_no_plot(shown):
+    judged = shown.evaluation.tables["runs"].assign(score=np.nan)
     assert strip_plot(judged, judged, run_page) is None

@@ -107,7 +107,7 @@ def test_only_a_much_higher_score_or_another_family_breaks_the_silence_of_an_ala
 def test_a_new_block_raises_at_most_the_promised_alarms_per_hour(runs_of_block):
     rng, per_hour = np.random.default_rng(0), 1.0
     raised, hours = [], 0.0
-    for _ in range(150):
+    for _ in range(50):
         all_of = recordings(rng, 45, runs_of_block=runs_of_block)
         rule = all_of.without(0).rule(per_hour)
         raised.append(alarms_in_sequence(rule, all_of, 0))
