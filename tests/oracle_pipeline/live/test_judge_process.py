@@ -40,9 +40,9 @@ def test_an_interrupt_of_the_whole_terminal_does_not_end_the_judge_while_it_star
     assert not judge.close()
 
 
-def judged(card, run):
+def judged(judge, run):
     """Return the verdicts on the windows of a run whose messages come one after the other."""
-    judge = JudgeProcess(card, PER_HOUR)
+    judge.begin()
     for topic in run.bag.topics.values():
         judge.add_topic(topic.name, topic.msgtype, topic.qos)
     start_ns, window, verdicts = run.bag.start_ns, 0, []
@@ -58,16 +58,17 @@ def judged(card, run):
             verdicts.append(next(judge.verdicts(600.0)))  # as slowly as a robot
             fresh = []
         fresh.append(message)
-    assert not judge.close()
     return verdicts, window
 
 
 def test_every_window_gets_its_verdict_and_an_attack_raises_an_alarm(normal_card, recorded_run):
+    judge = JudgeProcess(normal_card, PER_HOUR)
     with open_run(recorded_run("random_noise", 5).path) as run:
-        attacked, windows = judged(normal_card, run)
+        attacked, windows = judged(judge, run)
     assert [verdict.end_s for verdict in attacked] == [WINDOW_S + HOP_S * n for n in range(windows)]
     with open_run(recorded_run(NORMAL, 5).path) as run:
-        normal, _ = judged(normal_card, run)
+        normal, _ = judged(judge, run)
+    assert not judge.close()
     assert any(verdict.alarm for verdict in attacked)
     assert attacked[-1].evidence
     assert np.median([v.score for v in attacked]) > 3 * np.median([v.score for v in normal])
