@@ -46,17 +46,18 @@ class UsualRanges:
         Features of the runs to compare with.
     columns : sequence of str
         The features to compare.
-    scaler : type of FlooredRobustScaler
-        Gives centre and scale.
+    scaler : FlooredRobustScaler, optional
+        Gives centre and scale; by default one with the declared floors.
     """
 
     def __init__(
         self,
         normal: pd.DataFrame,
         columns: Sequence[str],
-        scaler: type[FlooredRobustScaler] = FlooredRobustScaler,
+        scaler: FlooredRobustScaler | None = None,
     ) -> None:
-        self.scaler = scaler(feature_floors(normal)).fit(normal[list(columns)])
+        scaler = scaler or FlooredRobustScaler(feature_floors(normal))
+        self.scaler = scaler.fit(normal[list(columns)])
         values = normal[self.scaler.kept_].to_numpy(dtype=np.float64)
         values = np.where(np.isfinite(values), values, np.nan)
         self.low, self.high = np.percentile(values, USUAL, axis=0)
@@ -106,7 +107,7 @@ def explain(
     normal: pd.DataFrame,
     row: pd.DataFrame,
     columns: Sequence[str],
-    scaler: type[FlooredRobustScaler] = FlooredRobustScaler,
+    scaler: FlooredRobustScaler | None = None,
 ) -> list[Deviation]:
     """Rank the features of one run that are outside the usual range of normal ones."""
     return UsualRanges(normal, columns, scaler).deviations(row)

@@ -58,9 +58,10 @@ def check_scorer(scorer: CrossConformalScorer, runs: pd.DataFrame) -> None:
     if scorer.windows_ is not None:
         _check_windows(scorer.windows_)
     _check_scores(scorer, runs)
-    for columns, scaler in ((design.run_features, None), (design.run_signals, SignalScaler)):
+    of_signals = SignalScaler(design.floors)
+    for columns, scaler in ((design.run_features, None), (design.run_signals, of_signals)):
         if columns:  # evidence comes from the declarations of the columns too
-            explain(runs, runs.iloc[:1], columns, *filter(None, [scaler]))
+            explain(runs, runs.iloc[:1], columns, scaler)
 
 
 def _require(fits: bool, fault: str) -> None:

@@ -262,7 +262,7 @@ def _scored(
     if design.uses_features and is_outside(len(tables.windows), card.scorer.lengths):
         signals = []  # they do not count for a recording of another length
     if signals:
-        deviations += explain(others, tables.run, signals, SignalScaler)
+        deviations += explain(others, tables.run, signals, SignalScaler(design.floors))
     normal = card.scorer.scorers_[0].normal_in_windows
     evidence = farthest_features(deviations, tables, normal)
     return replace(

@@ -38,6 +38,7 @@ from oracle_pipeline.scoring.run_scorer import (
     common_length,
 )
 from oracle_pipeline.scoring.selection import counted, without_odd
+from oracle_pipeline.scoring.starts import effects_of_start
 from oracle_pipeline.scoring.verdict import CardOrigin, ScoringError
 
 DISTRIBUTION = "ros2-behaviour-oracle"
@@ -166,6 +167,7 @@ def _with_signals(of_features: Design, runs: MeasuredRuns) -> Design:
     window_signals = common_signals(runs.windows, settings) if is_long else ()
     return replace(
         of_features,
+        floors={**of_features.floors, **effects_of_start(runs)},
         run_signals=run_signals,
         window_signals=window_signals,
         levels=(*(OF_FEATURES if knows_robot else ()), *of_signals),

@@ -18,6 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from oracle_pipeline import learn, score
+from oracle_pipeline.bags.qos_profiles import is_latched
 from oracle_pipeline.bags.reader import BagReader, RawMessage
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.types import serialize
@@ -64,10 +65,10 @@ def edited(field: str, value: Callable[..., Any]) -> Change:
 
 
 def lost(share: float) -> Change:
-    """Lose a share of the messages of topics that are not latched."""
+    """Lose a share of the messages of topics that have more than a few."""
 
     def keep(times: Any, rng: np.random.Generator) -> Any:
-        return (rng.random(len(times)) >= share) | (len(times) < _LATCHED)
+        return (rng.random(len(times)) >= share) | (len(times) < _FEW)
 
     return recorded(lambda times, _: times, keep)
 
@@ -89,16 +90,17 @@ def in_ticks(angles: Any, _: Any) -> Any:
 
 
 def later(bag: BagReader, messages: list[RawMessage], _: np.random.Generator) -> list[RawMessage]:
-    """Leave out the first 5 s; latched messages come at the new start."""
+    """Leave out the first 5 s; what latched topics hold comes at the new start."""
     start_ns = bag.start_ns + 5_000_000_000
-    if len(messages) < _LATCHED:
-        return [each._replace(stamp_ns=max(each.stamp_ns, start_ns)) for each in messages]
-    return [each for each in messages if each.stamp_ns >= start_ns]
+    qos = bag.topics[messages[0].topic].qos[0]
+    before = [each._replace(stamp_ns=start_ns) for each in messages if each.stamp_ns < start_ns]
+    held = before[-qos.depth :] if is_latched(qos) else []
+    return held + [each for each in messages if each.stamp_ns >= start_ns]
 
 
 _TURN, _GYRO, _FORCE = "twist.twist.angular.z", "angular_velocity.z", "linear_acceleration.x"
 _TICK = 2.0 * np.pi / 4096
-_LATCHED = 9  # messages of a topic that has fewer are latched
+_FEW = 9  # messages of a topic that loses none
 KINDS: dict[str, tuple[str, Change]] = {  # topics, all without any
     "/local_costmap/costmap 10 % slower": (
         "/local_costmap/costmap", recorded(lambda t, _: t, lambda t, _: np.arange(len(t)) % 10 > 0),

@@ -19,7 +19,7 @@ from oracle_pipeline.features.engine.plugin import (
     timed,
 )
 from oracle_pipeline.features.lidar.map_consistency import MapGrid, keep_grids
-from oracle_pipeline.features.statistics.reduction import mean
+from oracle_pipeline.features.statistics.reduction import within
 from oracle_pipeline.robots.roles import LOCAL_COSTMAP
 
 FEATURES = timed(
@@ -49,25 +49,22 @@ def changes(before: MapGrid, now: MapGrid) -> tuple[int, int]:
     return int((became & ~was).sum()), int((was & ~became).sum())
 
 
-def prepare(window: Window) -> tuple[Series, Series] | Missing:
-    """Return the changes per second between consecutive grids: to lethal, and from lethal."""
+def prepare(window: Window) -> Series | Missing:
+    """Return cells that become lethal, that cease to be, and seconds, between two grids; (n, 3)."""
     ((times_s, grids),) = window.topics["grids"].values()
     if len(times_s) < 2:
         return Missing("fewer than two costmaps")
     counts = np.array([changes(*pair) for pair in pairwise(grids)])
-    passed_s = np.diff(times_s)
-    rates = np.full(counts.shape, np.nan)
-    np.divide(counts, passed_s[:, np.newaxis], out=rates, where=passed_s[:, np.newaxis] > 0.0)
-    appearing, vanishing = rates.T
-    return Series(times_s[1:], appearing), Series(times_s[1:], vanishing)
+    return Series(times_s[1:], np.column_stack([counts, np.diff(times_s)]))
 
 
 def compute(window: Window) -> Values | Missing:
-    """Reduce to the window."""
-    appearing, vanishing = (mean(series, window) for series in window.prepared)
-    if np.isnan(appearing):
+    """Reduce to the window: a latched grid may be followed by the next one at once."""
+    steps: Series = window.prepared
+    appearing, vanishing, passed_s = steps.values[within(steps.times_s, window)].sum(axis=0)
+    if not passed_s > 0.0:
         return Missing("no two costmaps in this window")
-    return {"lethal_appearing": appearing, "lethal_vanishing": vanishing}
+    return {"lethal_appearing": appearing / passed_s, "lethal_vanishing": vanishing / passed_s}
 
 
 @hookimpl

@@ -91,7 +91,10 @@ def goals_so_far(window: Window) -> list[Goal] | Missing:
     if log is None:
         return Missing("neither a goal status nor a behaviour tree log is recorded")
     ticks = sole_series(window.history["ticks"])
-    return goals_of_log(log, log.times_s if ticks is None else ticks.times_s)
+    goals = goals_of_log(log, log.times_s if ticks is None else ticks.times_s)
+    if not goals and ticks is not None and len(ticks.times_s):
+        return Missing("the tree ran before the recording began, or its root has another name")
+    return goals
 
 
 def _goals_of_status(series: Series) -> list[Goal]:

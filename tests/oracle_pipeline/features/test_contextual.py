@@ -217,6 +217,13 @@ def test_a_recording_may_lack_the_beginning_or_end_of_goals(
     assert values["goals_reached"] == pytest.approx(reached)
 
 
+def test_it_is_not_known_whether_a_tree_that_ran_before_the_recording_has_a_goal(bag_of, messages):
+    ticks = [
+        (float(t), "/behavior_tree_log", messages.tree_log(t, ("Wait", I, R))) for t in range(4)
+    ]
+    assert "before the recording" in of_run(bag_of(ticks))["duration"]
+
+
 def test_without_navigation_there_is_a_reason(bag_of, messages):
     values = of_run(bag_of([(0, "/scan", messages.scan(0, [1.0]))]))
     assert "neither a goal status nor a behaviour tree log" in values["duration"]

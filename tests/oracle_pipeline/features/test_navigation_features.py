@@ -255,3 +255,13 @@ def test_costmap_changes_are_rates(extracted):
     ]
     values, *_ = extracted(local_costmap, recorded)
     assert values["lethal_appearing"] == values["lethal_vanishing"] == pytest.approx(4.0)
+
+
+def test_a_latched_costmap_counts_by_the_time_between_grids(extracted):
+    empty, full = np.zeros((4, 4)), np.full((4, 4), 100)
+    recorded = [
+        (t, "/local_costmap/costmap", grid_message(0, cells, 0.05, 0j))
+        for t, cells in ((0.0, empty), (0.01, full), (2.0, full), (4.0, full))
+    ]
+    values, *_ = extracted(local_costmap, recorded)
+    assert values["lethal_appearing"] == pytest.approx(16 / 4.0)
