@@ -1,8 +1,9 @@
 """An MkDocs hook that puts tables of what the code has into the pages.
 
 A line ``<!-- table: features -->`` becomes the table of all built-in features. ``manifest`` names
-those of the fields of a manifest, ``found_attacks`` that of the attacks that searches found, and
-``other_modes`` that of the modes of all built-in testbeds but the first.
+those of the fields of a manifest, ``found_attacks`` that of the attacks that searches found,
+``other_modes`` that of the modes of all built-in testbeds but the first, and ``program_mutants``
+the kill matrix of mutants of the program.
 """
 
 import json
@@ -11,13 +12,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from oracle_pipeline import features
 from oracle_pipeline.bags import run_directory
 from sim.scenarios import builtin_scenarios
 from sim.testbeds import BUILT_IN, TESTBEDS
+from tools.bench.kill_table import kill_table, named
 
 MARK = re.compile(r"^<!-- table: (\w+) -->$", re.M)
 FOUND = Path(__file__).parents[2] / "examples" / "found_attacks"
+PROGRAM_MUTANTS = Path(__file__).parents[1] / "explanation" / "program_mutants.csv"
 SCHEMA = Path(run_directory.__file__).with_name("manifest.schema.json")
 
 
@@ -73,6 +78,14 @@ def other_modes() -> Iterator[str]:
             yield f"| {testbed} | `{mode}` | {scenario.label} | {scenario.title} |"
 
 
+def program_mutants() -> Iterator[str]:
+    """Yield the kill matrix of mutants of the program, and a paragraph on each group of them."""
+    runs = pd.read_csv(PROGRAM_MUTANTS)
+    yield from kill_table(runs)
+    for line in named(runs):
+        yield from ("", line)
+
+
 def rows(fields: dict[str, Any], before: str = "") -> Iterator[str]:
     """Yield a row for each field, those of nested objects after their own."""
     for name, field in fields.items():
@@ -98,4 +111,5 @@ TABLES: dict[str, Callable[[], Iterator[str]]] = {
     "manifest": manifest_tables,
     "found_attacks": found_attacks,
     "other_modes": other_modes,
+    "program_mutants": program_mutants,
 }
