@@ -185,7 +185,9 @@ def _joined(
         _check_columns(part, list(features))
     signals = dict.fromkeys(column for part in parts for column in signal_columns(part))
     columns = [*features, *signals]
-    joined = pd.concat(parts, ignore_index=True).astype(dict.fromkeys(columns, np.float64))
+    joined = pd.concat(parts, ignore_index=True)
+    others = [column for column, type_ in joined.dtypes[columns].items() if type_ != np.float64]
+    joined = joined.astype(dict.fromkeys(others, np.float64)) if others else joined
     repeated = joined.loc[joined.duplicated(order), "run_id"].unique()
     if len(repeated):
         raise DatasetError(
@@ -194,7 +196,7 @@ def _joined(
         )
     joined = joined[[*keys, *columns, WHERE, MISSING]]
     joined = joined.sort_values(order, kind="stable", ignore_index=True)
-    joined = joined.copy()  # in one piece: `astype` left thousands, each to be selected alone
+    joined = joined.copy()  # in one piece, not in thousands, each to be selected alone
     joined.attrs["fields"] = _joined_fields(parts)
     return joined
 
@@ -228,10 +230,11 @@ def _check_columns(table: pd.DataFrame, columns: list[str]) -> None:
             f"{_runs(table)} lacks the features {', '.join(unexplained)}, which other runs have; "
             "extract all runs with the same plugins."
         )
+    types = table.dtypes  # a selected column costs a hundred times as much
     for column in (*feature_columns(table), *signal_columns(table)):
-        if not pd.api.types.is_float_dtype(table[column]):
+        if not pd.api.types.is_float_dtype(types[column]):
             raise DatasetError(
-                f"Feature {column!r} of {_runs(table)} is {table[column].dtype}, not float64; "
+                f"Feature {column!r} of {_runs(table)} is {types[column]}, not float64; "
                 "extract it again."
             )
 
