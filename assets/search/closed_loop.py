@@ -8,22 +8,14 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-import pandas as pd
-from numpy.typing import NDArray
-
+from assets.search.feedback import FEEDBACKS
+from assets.search.oracles import FEATURES, Judgement, SearchOracle
 from oracle_pipeline.bags.behaviour import behaviour
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import RunDirectory
-from oracle_pipeline.detectors.explain import UsualRanges
-from oracle_pipeline.features import FeatureTables
-from oracle_pipeline.scoring.card import ReferenceCard, checked_card
-from oracle_pipeline.scoring.comparable import shared_features
-from oracle_pipeline.scoring.isolation import Extracted, Reading, extracted
-from oracle_pipeline.scoring.judging import judge
-from oracle_pipeline.scoring.verdict import Verdict
+from oracle_pipeline.oracles.collecting import traced_run
 from sim.campaigns import Campaign
 from sim.commands.kill_matrix import derive_mutant
 from sim.experiments import Job, recipe_for, record_job, record_run
@@ -38,7 +30,6 @@ SHARE = 0.15  # relative change of the control's path or time that is an effect 
 STEPS: Mapping[str, float] = {
     "clearance_m": 0.05, "goals_reached": 1.0, "recoveries": 1.0, "commands_altered": 0.05,
 }  # fmt: skip
-FEATURES = "features"  # what a verdict holds against a recording by its p-value
 MOVED_SCALES = 3.0  # difference from the control from which a feature counts as changed
 
 
@@ -75,14 +66,16 @@ class Finding:
     effects : mapping of str to float
         Attacked run minus control, in the unit of each quantity.
     score, p_value : float
-        As from `oracle score`.
+        Of the oracle; for a card as from `oracle score`.
     passed : bool
-        Whether the whole verdict tells nothing that it does not tell of the run without the attack:
-        no unusual features, breach, alarm, tampering or misbehaviour.
+        Whether the oracle tells nothing that it does not tell of the run without the attack. For a
+        card: no unusual features, breach, alarm, tampering or misbehaviour.
     families : tuple of str
         Families of features outside their usual range, the farthest first.
     moved : tuple of str
         Features that differ from those of the control.
+    feedback : float, optional
+        What guides the search instead of the effect: attacked run minus control.
     """
 
     proposal: Proposal
@@ -94,6 +87,7 @@ class Finding:
     passed: bool
     families: tuple[str, ...]
     moved: tuple[str, ...]
+    feedback: float | None = None
 
     @property
     def has_effect(self) -> bool:
@@ -114,24 +108,24 @@ class ClosedLoop:
     ----------
     campaign : Campaign
         Settings of all runs.
-    card : Path
-        Reference card of the oracle.
-    far : float
-        False positive rate at which it decides.
+    oracle : SearchOracle
+        Judges the runs.
     screens : bool
         Whether a proposal is not run if the oracle detects it in an altered recording.
     controls : Path
         Folder of the runs without an attack.
     conditions : mapping
         Changes to the testbed.
+    feedback : str, optional
+        Name in `FEEDBACKS` of what guides the search instead of the effect.
     """
 
     campaign: Campaign
-    card: Path
-    far: float
+    oracle: SearchOracle
     screens: bool
     controls: Path
     conditions: Mapping[str, Any] = field(default_factory=dict)
+    feedback: str | None = None
 
     def run_control(self, block: int) -> Manifest:
         """Record a block without an attack, and repeats of it with other noise of the sensors.
@@ -157,74 +151,55 @@ class ClosedLoop:
         with tempfile.TemporaryDirectory(prefix="oracle-search-") as folder:
             if self.screens and not mode.scenario.needs_simulator:
                 altered = Job(mode, Path(folder, "altered"), proposal.run, proposal.block)
-                manifest = derive_mutant(self._control(proposal).path.parent, False, altered)
-                judged = _judged(altered.directory, self.card, self.far)
-                if not self._passes(judged.verdict, proposal):
-                    return self._finding(proposal, manifest, judged, ran=False)
+                derive_mutant(self._control(proposal).path.parent, False, altered)
+                judged = self.oracle.judge(altered.directory)
+                if not self._passes(judged, proposal):
+                    return self._finding(proposal, altered.directory, judged, ran=False)
             run = Job(mode, Path(folder, "closed_loop"), proposal.run, proposal.block)
-            manifest = record_job(self.campaign, False, run)
-            judged = _judged(run.directory, self.card, self.far)
-            return self._finding(proposal, manifest, judged, ran=True)
+            record_job(self.campaign, False, run)
+            judged = self.oracle.judge(run.directory)
+            return self._finding(proposal, run.directory, judged, ran=True)
 
     def _control(self, proposal: Proposal) -> RunDirectory:
         return RunDirectory(self.controls, CONTROL, proposal.block)
 
-    def _judged_control(self, proposal: Proposal) -> "_JudgedRecording":
-        return _judged_once(self._control(proposal), self.card, self.far)
+    def judged_control(self, proposal: Proposal) -> Judgement:
+        """Judge the run without the attack, once."""
+        return _judged_once(self.oracle, self._control(proposal))
 
-    def _passes(self, verdict: Verdict, proposal: Proposal) -> bool:
-        held = against(verdict, self.far)
-        usual = against(self._judged_control(proposal).verdict, self.far)
-        return FEATURES not in held and held <= usual
+    def _passes(self, judged: Judgement, proposal: Proposal) -> bool:
+        return FEATURES not in judged.held and judged.held <= self.judged_control(proposal).held
 
     def _finding(
-        self, proposal: Proposal, manifest: Manifest, judged: "_JudgedRecording", *, ran: bool
+        self, proposal: Proposal, run: RunDirectory, judged: Judgement, *, ran: bool
     ) -> Finding:
-        verdict, control = judged.verdict, self._control(proposal)
-        if verdict.p_value is None or verdict.score is None:  # `judge` gives both, or raises
-            raise TypeError(verdict)
+        control = self._control(proposal)
         effects: dict[str, tuple[float, float]] = {}
         if ran:
             repeats = [job.directory.manifest() for job in self._repeats(proposal.block)]
-            effects = task_effects(manifest, control.manifest(), repeats)
+            effects = task_effects(run.manifest(), control.manifest(), repeats)
+        feedback = None
+        if self.feedback is not None:
+            usual = _feedback_once(self.feedback, control)
+            feedback = _feedback(self.feedback, run) - usual if ran else 0.0
         return Finding(
             proposal,
             screened_out=not ran,
             effect=max((abs(steps) for _, steps in effects.values()), default=0.0),
             effects={name: difference for name, (difference, _) in effects.items()},
-            score=verdict.score,
-            p_value=verdict.p_value,
-            passed=self._passes(verdict, proposal),
-            families=tuple(each.family for each in verdict.families if each.unusual),
-            moved=_moved(judged.tables.run, self._judged_control(proposal).tables.run, self.card),
+            score=judged.score,
+            p_value=judged.p_value,
+            passed=self._passes(judged, proposal),
+            families=judged.families,
+            moved=_moved(judged.features, self.judged_control(proposal).features),
+            feedback=feedback,
         )
 
 
-class _JudgedRecording(NamedTuple):
-    """A recording's features, and the verdict on it."""
-
-    tables: FeatureTables
-    verdict: Verdict
-
-
-def _judged(directory: RunDirectory, card: Path, far: float) -> _JudgedRecording:
-    ours = _extracted(directory, card)
-    verdict = judge(directory.key, ours.tables, _card(card), far, ours.observation)
-    return _JudgedRecording(ours.tables, verdict)
-
-
-_judged_once = functools.cache(_judged)  # a control, which many trials are compared with
-
-
-def against(verdict: Verdict, far: float) -> set[str]:
-    """Return all that a verdict holds against a recording."""
-    held = {f"contract: {line}" for line in verdict.contract}
-    held |= {name for name, aspect in verdict.aspects.items() if aspect.p_value <= far}
-    if verdict.alarms:
-        held.add("alarms")
-    if verdict.p_value is None or verdict.p_value <= far:
-        held.add(FEATURES)
-    return held
+@functools.cache
+def _judged_once(oracle: SearchOracle, run: RunDirectory) -> Judgement:
+    """Judge a control, which many trials are compared with."""
+    return oracle.judge(run)
 
 
 def task_effects(
@@ -246,33 +221,17 @@ def task_effects(
     return dict(sorted(effects.items()))
 
 
-def _moved(attacked: pd.DataFrame, control: pd.DataFrame, card: Path) -> tuple[str, ...]:
+def _moved(attacked: Mapping[str, float], control: Mapping[str, float]) -> tuple[str, ...]:
     """Return the features that differ from those of the control."""
-    ranges = _ranges(card)
-    difference = _scaled(attacked, ranges) - _scaled(control, ranges)
-    changed = np.flatnonzero(np.nan_to_num(np.abs(difference)) >= MOVED_SCALES)
-    return tuple(ranges.scaler.kept_[j] for j in changed.tolist())
-
-
-def _scaled(row: pd.DataFrame, ranges: UsualRanges) -> NDArray[np.float64]:
-    """Return the features of a run, scaled as those of the normal runs."""
-    scaler = ranges.scaler
-    values = row.reindex(columns=scaler.kept_).iloc[0].to_numpy(dtype=np.float64)
-    return np.asarray((values - scaler.center_) / scaler.scale_, dtype=np.float64)
+    return tuple(
+        name for name, value in attacked.items() if abs(value - control[name]) >= MOVED_SCALES
+    )
 
 
 @functools.cache
-def _ranges(card: Path) -> UsualRanges:
-    known = _card(card)
-    columns, _ = shared_features(known.runs, known.runs, known.scorer.design.run_features)
-    return UsualRanges(known.runs, columns)
+def _feedback_once(name: str, run: RunDirectory) -> float:
+    return _feedback(name, run)
 
 
-def _extracted(directory: RunDirectory, card: Path) -> Extracted:
-    (robot,) = extracted(directory.path, reading=Reading(known=_card(card).known))
-    return robot
-
-
-@functools.cache
-def _card(path: Path) -> ReferenceCard:
-    return checked_card(path)  # a worker cannot start the process in which others read a card
+def _feedback(name: str, run: RunDirectory) -> float:
+    return FEEDBACKS[name](traced_run(run).traces[0], run.manifest())

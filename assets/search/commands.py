@@ -24,9 +24,19 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("template", metavar="[TEMPLATE]", required=False)
 @click.option(
-    "--reference", "card", required=True,
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    help="Reference card of the oracle to search against (`oracle learn`).",
+    "--oracle", "--reference", "oracle", required=True,
+    help="The oracle to search against: a reference card (`oracle learn`), a file of requirements "
+    "or invariants (.yaml), or a kind of oracle, such as invariants or one of a plug-in.",
+)  # fmt: skip
+@click.option(
+    "--normal", type=click.Path(path_type=Path, exists=True),
+    help="Folder of normal recordings from which a kind of oracle learns, and its limit is set.  "
+    "[default: a score above 0 is anomalous]",
+)  # fmt: skip
+@click.option(
+    "--feedback", type=click.Choice(["sensors", "control", "belief"]),
+    help="What guides the search: how far sensors disagree, commands are not followed, or odometry "
+    "differs from the way driven.  [default: the effect on the task]",
 )  # fmt: skip
 @click.option(
     "--topic",
@@ -98,8 +108,9 @@ def search(
     \b
     Example:
         oracle learn data/datasets/features.parquet --output testbed.card
-        oracle-sim search range_drift --reference testbed.card --budget 30m --out drift
-        oracle-sim search --topic /odom --topic /imu --wiring absent --reference plain.card
+        oracle-sim search range_drift --oracle testbed.card --budget 30m --out drift
+        oracle-sim search --topic /odom --topic /imu --wiring absent --oracle plain.card
+        oracle-sim search range_drift --oracle my_robot.yaml --feedback belief
         ORACLE_SCENARIOS=drift/misses oracle-sim record -m range_drift_miss017
     """  # noqa: D301 -- click reads the control character
     from assets.search.outcome import MISSES, PICTURE, save

@@ -25,6 +25,7 @@ from optuna.study import StudyDirection
 from assets.search.attack_space import AttackSpace, SearchError
 from assets.search.closed_loop import ClosedLoop, Finding, Proposal
 from assets.search.composed_attacks import composed_attacks
+from assets.search.oracles import find_oracle
 from assets.search.scenario_parameters import scenario_attacks
 from sim.campaigns import Campaign
 from sim.fan_out import fan_out, process_pool
@@ -46,8 +47,8 @@ class SearchSettings:
 
     Attributes
     ----------
-    card : Path
-        Reference card of the oracle to search against.
+    oracle : str
+        What to search against: a reference card, a file of requirements, or a kind of oracle.
     campaign : Campaign
         Settings of all runs, except goals and time limit.
     blocks : int
@@ -58,15 +59,21 @@ class SearchSettings:
         Simulated seconds that a goal may take, on average.
     far : float
         False positive rate at which the oracle decides.
+    normal : Path, optional
+        Folder of normal recordings, for an oracle that is not a card.
+    feedback : str, optional
+        What guides the search instead of the effect.
     """
 
-    card: Path
+    oracle: str
     campaign: Campaign
     sampler: Sampler = "tpe"
     blocks: int = 3
     goals: int = 1
     time_limit: float = 120.0
     far: float = 0.05
+    normal: Path | None = None
+    feedback: str | None = None
     screen: bool = True
     allow_actuation: bool = False
     ranges: tuple[str, ...] = ()  # NAME=LOW:HIGH, of a scenario's parameters
@@ -78,7 +85,8 @@ class SearchSettings:
         campaign = dataclasses.replace(
             self.campaign, goals_per_run=self.goals, timeout_s=self.time_limit * self.goals
         )
-        return ClosedLoop(campaign, self.card, self.far, self.screen, controls)
+        oracle = find_oracle(self.oracle, self.normal, self.far, controls)
+        return ClosedLoop(campaign, oracle, self.screen, controls, feedback=self.feedback)
 
 
 def attacks(scenario: str | None, controls: Path, settings: SearchSettings) -> AttackSpace:
@@ -189,6 +197,7 @@ class Search:
         for outcome in fan_out(self._loop.run_control, blocks, pool):
             if outcome.error is not None:
                 raise SearchError(f"Block {outcome.job} cannot be run: {outcome.error}")
+        self._loop.judged_control(Proposal(0, 0, {}, {}))  # an unusable oracle ends the search here
         executor = pool()
         ends = time.monotonic() + budget.seconds
         try:
@@ -222,13 +231,15 @@ class Search:
 
 
 def evasion(finding: Finding) -> tuple[float, float]:
-    """Return the bounded effect, and how clearly the oracle detects the run.
+    """Return the bounded effect or feedback, and how clearly the oracle detects the run.
 
     Without bounds, the front would consist of stuck robots, which every oracle detects, and of
     attacks without an effect.
     """
-    effect = min(_ordered(finding.effect), _ENOUGH)
-    return effect, 0.0 if finding.passed else _symlog(_ordered(finding.score))
+    reached = finding.effect if finding.feedback is None else finding.feedback
+    return min(_ordered(reached), _ENOUGH), 0.0 if finding.passed else _symlog(
+        _ordered(finding.score)
+    )
 
 
 def _ordered(value: float) -> float:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pandas as pd
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.bags.manifest import UNKNOWN_WORLD
+from oracle_pipeline.bags.manifest import UNKNOWN_WORLD, Manifest
 from oracle_pipeline.bags.remote import fetched
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RunDirectory
 from oracle_pipeline.bags.terminal import printable, progress_bar
@@ -69,14 +69,24 @@ def _traced(path: Path, label: str) -> Iterator[tuple[dict[str, object], pd.Data
         manifest = run.manifest()
         if manifest.label == "malicious" and manifest.onset_s is None:
             return
-        keys = (manifest.key, *(getattr(manifest, key) for key in KEYS[1:]))
-        relation = manifest.recipe.get("options", {}).get(RELATION, SAME)
-        with fetched(run.path) as place, open_run(place) as opened:
-            trace = read_trace(find_robots(opened.bag)[0])
-        yield dict(zip(KEYS, keys, strict=True)) | {RELATION: relation}, trace
+        yield _of_run(run, manifest)
         return
     with open_run(path) as opened:
         for robot in find_robots(opened.bag):
             name = of_robot(printable(path.resolve().name), robot.name)
             keys = (name, "foreign", label, _NO_BLOCK, _NO_BLOCK, UNKNOWN_WORLD)
             yield dict(zip(KEYS, keys, strict=True)) | {RELATION: SAME}, read_trace(robot)
+
+
+def traced_run(run: RunDirectory) -> TracedRuns:
+    """Read the trace of one run, whether or not its attack began."""
+    row, trace = _of_run(run, run.manifest())
+    return TracedRuns(pd.DataFrame([row]), (trace,))
+
+
+def _of_run(run: RunDirectory, manifest: Manifest) -> tuple[dict[str, object], pd.DataFrame]:
+    keys = (manifest.key, *(getattr(manifest, key) for key in KEYS[1:]))
+    relation = manifest.recipe.get("options", {}).get(RELATION, SAME)
+    with fetched(run.path) as place, open_run(place) as opened:
+        trace = read_trace(find_robots(opened.bag)[0])
+    return dict(zip(KEYS, keys, strict=True)) | {RELATION: relation}, trace

@@ -64,7 +64,7 @@ def scored(card: Path, controls: Path) -> Iterator[tuple[Path, Finding]]:
 def closed_loop(card: Path, controls: Path) -> ClosedLoop:
     """Return what runs and judges an attack, as the searches did."""
     campaign = Campaign(seed=SEED, options=Options(wiring="absent"))
-    settings = SearchSettings(card, campaign, goals=1, time_limit=60.0, screen=False)
+    settings = SearchSettings(str(card), campaign, goals=1, time_limit=60.0, screen=False)
     return settings.closed_loop(controls)
 
 

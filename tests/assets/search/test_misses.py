@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from assets.search.closed_loop import FEATURES, SHARE, against, task_effects
+from assets.search.closed_loop import SHARE, task_effects
+from assets.search.oracles import FEATURES, against
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.scoring.alarms import Alarm
 from oracle_pipeline.scoring.verdict import AspectScore, Verdict

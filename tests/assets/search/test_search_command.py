@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -72,6 +73,53 @@ def test_trials_detected_in_an_altered_recording_are_not_run(
     (finding,) = json.loads((tmp_path / "findings.json").read_text())["findings"]
     assert finding["screened_out"]
     assert finding["effects"] == {}
+
+
+REQUIREMENTS = """requirements:
+  - name: few_turns
+    formula: always (turn <= {})
+    scale: 0.1
+"""
+
+
+@pytest.mark.parametrize(("most", "passed"), [(9.0, True), (-9.0, False)])
+def test_requirements_are_an_oracle_and_robustness_is_its_score(
+    recorded_run: RecordedRuns, tmp_path: Path, most: float, passed: bool
+) -> None:
+    linked(recorded_run(CONTROL, 0, OF_SEARCH), tmp_path / CONTROLS)
+    (tmp_path / "mine.yaml").write_text(REQUIREMENTS.format(most), "utf-8")
+    words = [
+        "search", "range_drift", "--oracle", str(tmp_path / "mine.yaml"), "--budget", "1",
+        "--feedback", "belief", "--no-screen", "--blocks", "1", "--goals", "1", "--workers", "1",
+        "--out", str(tmp_path),
+    ]  # fmt: skip
+    result = CliRunner().invoke(oracle_sim, words)
+    assert result.exit_code == 0, result.output
+    (finding,) = json.loads((tmp_path / "findings.json").read_text())["findings"]
+    assert finding["passed"] == passed == (finding["score"] < 0.0)
+    assert finding["feedback"] is not None
+
+
+@pytest.mark.parametrize(
+    ("oracle", "far", "reason"),
+    [
+        ("invariant", "0.2", "there is no oracle 'invariant'; give a card"),
+        ("implicit", "0.05", "1 normal recordings in .* are left to decide"),
+        ("invariants", "0.2", "need at least 3 normal runs"),
+    ],
+)
+def test_an_unusable_oracle_ends_the_search_with_a_reason(
+    recorded_run: RecordedRuns, tmp_path: Path, oracle: str, far: str, reason: str
+) -> None:
+    linked(recorded_run(CONTROL, 0, OF_SEARCH), tmp_path / CONTROLS)
+    words = [
+        "search", "range_drift", "--oracle", oracle, "--budget", "1", "--blocks", "1",
+        "--normal", str(recorded_run(CONTROL, 1, OF_SEARCH).path), "--far", far,
+        "--goals", "1", "--workers", "1", "--out", str(tmp_path),
+    ]  # fmt: skip
+    result = CliRunner().invoke(oracle_sim, words)
+    assert result.exit_code != 0
+    assert re.search(reason, result.output), result.output
 
 
 def test_a_search_without_a_template_chooses_topics_and_operators(
