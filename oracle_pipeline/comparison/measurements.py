@@ -1,6 +1,7 @@
-"""The quantities that are compared: features, and the presence of topics, nodes and edges.
+"""The quantities that are compared: features, signals, and the presence of topics, nodes and edges.
 
 The presence of a topic is a feature with value 0 or 1, so one test covers behaviour and interface.
+Signals are the numbers of any robot's messages, so a robot without known features is compared, too.
 """
 
 from collections.abc import Sequence
@@ -9,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.datasets import feature_columns, feature_floors, field_metadata
+from oracle_pipeline.datasets import feature_columns, feature_floors, field_metadata, signal_columns
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.feature_sets import LEFT_OUT
 from oracle_pipeline.scoring.reference import Reference
@@ -20,6 +21,7 @@ PAYLOAD = "payload"  # family of the entropy of each topic's bytes
 PARAMETER = "parameter"  # family of the numbers that nodes have as parameters
 # Resolution of a set of recordings, in floors; a floor is what a queue or rounding does to one.
 _STEP = 0.2
+_OF_SPREAD = 0.1  # floor of a signal's statistic, which declares none: this share of its spread
 _UNITS = {INTERFACE: "1", RATE: "Hz", PAYLOAD: "bit"}
 _FLOORS = {INTERFACE: 0.0, RATE: 0.1, PAYLOAD: 0.02}
 
@@ -37,6 +39,7 @@ def unit_of(column: str, table: pd.DataFrame) -> str:
 def measurements(reference: Reference) -> pd.DataFrame:
     """Return the values to compare, one row per recording in the order of its table."""
     columns = [c for c in feature_columns(reference.table) if family_of(c) not in LEFT_OUT]
+    columns += signal_columns(reference.table)
     features = reference.table[columns].reset_index(drop=True)
     if not reference.observations:
         return features
@@ -52,16 +55,23 @@ def aligned(first: pd.DataFrame, second: pd.DataFrame) -> tuple[pd.DataFrame, pd
     return _with(first, columns), _with(second, columns)
 
 
-def resolved_values(table: pd.DataFrame, declared: pd.DataFrame) -> NDArray[np.float64]:
-    """Return the values in steps of each feature, shape (n_rows, n_columns).
+def resolved_values(
+    tables: Sequence[pd.DataFrame], declared: pd.DataFrame
+) -> list[NDArray[np.float64]]:
+    """Return the values of each set in steps of each feature, shape (n_rows, n_columns).
 
     A difference below the step becomes a tie. `declared` is the feature table whose columns declare
     their floors.
     """
-    floors = {column: _STEP * floor for column, floor in feature_floors(declared).items()}
-    steps = np.array([floors.get(c, _FLOORS.get(family_of(c), 0.0)) for c in table.columns])
-    values = table.to_numpy(dtype=np.float64)
-    return np.where(steps > 0.0, np.round(values / np.where(steps > 0.0, steps, 1.0)), values)
+    together = pd.concat(tables)
+    floors = {c: _OF_SPREAD * float(together[c].std()) for c in signal_columns(together)}
+    floors |= feature_floors(declared)
+    sizes = {column: _STEP * floor for column, floor in floors.items()}
+    steps = np.array([sizes.get(c, _FLOORS.get(family_of(c), 0.0)) for c in together.columns])
+    is_stepped = steps > 0.0
+    units = np.where(is_stepped, steps, 1.0)
+    values = (table.to_numpy(dtype=np.float64) for table in tables)
+    return [np.where(is_stepped, np.round(each / units), each) for each in values]
 
 
 def varying_columns(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.bool_]:

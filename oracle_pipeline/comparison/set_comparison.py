@@ -26,6 +26,7 @@ from oracle_pipeline.comparison.permutation import (
     TwoSamples,
     adjusted_p_values,
 )
+from oracle_pipeline.datasets import SIGNALS
 from oracle_pipeline.features import FeatureManager
 from oracle_pipeline.scoring.reference import Reference, read_reference, recordings_below
 
@@ -144,7 +145,7 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> SetComp
     partners = _partners(first.table, second.table)
     if partners is not None:
         values = (values[0].iloc[partners[0]], values[1].iloc[partners[1]])
-    resolved = [resolved_values(table, first.table) for table in values]
+    resolved = resolved_values(values, first.table)
     varying = varying_columns(*resolved)
     if not varying.any():
         raise ComparisonError("No feature varies between these recordings; use more of them.")
@@ -168,7 +169,7 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> SetComp
             effect=float(effect),
             p_value=float(p),
         )
-        for column, _, effect, p in sorted(tested, key=lambda each: -each[1])
+        for column, _, effect, p in sorted(tested, key=_place)
         if p <= level
     ]
     unsupported = design.lowest_p > level
@@ -182,6 +183,12 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> SetComp
         differences=tuple(found),
         notes=tuple(_notes(first, second)),
     )
+
+
+def _place(tested: tuple[str, float, float, float]) -> tuple[bool, float]:
+    """Return the place of a difference: known quantities come first, then the largest."""
+    column, size, *_ = tested
+    return column.startswith(SIGNALS), -size
 
 
 def _check_size(reference: Reference) -> None:

@@ -1,7 +1,8 @@
 """How often `oracle compare` is red in pull requests without a change, and names one of 10 %.
 
-Runs of one goal are recorded once, below ``ORACLE_HOME``/pull_requests, and read once: 420 of the
-usual build, and 100 blocks of each changed one. Every pull request draws from them at random.
+Runs of one goal are recorded once, below ``ORACLE_HOME``/pull_requests, and read once: of each
+robot 420 of the usual build, and 100 blocks of each changed one. Every pull request draws from
+them at random.
 
 Without a change: two disjoint sets of usual runs, of other blocks, so every difference is a false
 one. With a change: some blocks of the usual build, and the same blocks of the changed one, as in
@@ -15,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,64 +31,88 @@ from sim.experiments import recipe_for, record_run
 from sim.nav2.parameters import named_values
 from tools.bench.figures import Row
 
-MODE, SEED = "lidar_passthrough_odom", 360_001
-USUAL, RUNS, BLOCKS = "usual", 420, 100
+SEED, USUAL, RUNS, BLOCKS = 360_001, "usual", 420, 100
 REQUESTS, LEVEL = 200, 0.01
 SIZES = (10, 40)  # recordings of each set, or pairs
+TURTLEBOT3, CRAZYFLIE, ARM = "lidar_passthrough_odom", "cf_normal", "arm_normal"  # modes
 
 
 class Change(NamedTuple):
     """A build with one parameter changed by 10 %, and globs of the features that it acts on."""
 
+    mode: str
     name: str
-    parameter: str
     features: Sequence[str]
+    parameter: str = ""  # of Nav2
+    gains: float = 1.0  # of the low-level controllers, relative to the usual build
 
 
 CHANGES = (
-    Change("speed limit", "FollowPath.max_vel_x=0.234", (
+    Change(TURTLEBOT3, "speed limit", (
         "contextual.speed", "contextual.duration", "contextual.time_per_planned_metre",
         "navigation.p*", "navigation.command_*", "rate./*", "kinematics.travel*",
-    )),
-    Change("inflation radius", "inflation_radius=0.605", (
+        "signals./cmd_vel*", "signals./odom/twist*",
+    ), parameter="FollowPath.max_vel_x=0.234"),
+    Change(TURTLEBOT3, "inflation radius", (
         "payload./*costmap*", "costmap.*", "contextual.clearance", "navigation.plan*",
         "navigation.lethal_*",
         "contextual.speed", "contextual.total_turning", "contextual.turning_per_metre",
-    )),
-    Change("controller gain", "FollowPath.PathDist.scale=35.2", (
+        "signals./*costmap*", "signals./*plan*",
+    ), parameter="inflation_radius=0.605"),
+    Change(TURTLEBOT3, "PathDist.scale", (
         "navigation.command_*", "navigation.p*", "contextual.total_turning", "contextual.speed",
         "contextual.turning_per_metre", "contextual.clearance", "contextual.duration",
-    )),
+        "signals./cmd_vel*",
+    ), parameter="FollowPath.PathDist.scale=35.2"),
+    Change(CRAZYFLIE, "gains of the drone's PIDs", (
+        "contextual.total_turning", "contextual.turning_per_metre", "contextual.yaw_rate_variance",
+        "kinematics.t*", "signals./cf231/controller/*", "signals./cf231/motors/*",
+        "signals./cf231/imu/*", "signals./cf231/odom/*",
+    ), gains=1.1),
+    Change(ARM, "gains of the arm's servos", (
+        "kinematics.*", "signals./joint_trajectory_controller/*", "signals./joint_states/*",
+    ), gains=1.1),
 )  # fmt: skip
 
 
 def rows() -> Iterator[Row]:
     """Yield the figures."""
     root = Path(os.environ.get("ORACLE_HOME") or "data") / "pull_requests"
-    usual = build(root / USUAL, "", RUNS)
-    for size in SIZES:
-        red = [each.outcome == "different" for each in unchanged(usual, size)]
-        yield _share(f"no change, {size} and {size} runs: red", red, 1.0, at_most=True)
-    for change in CHANGES:
-        changed = build(root / change.name.replace(" ", "_"), change.parameter, BLOCKS)
+    for mode in (TURTLEBOT3, CRAZYFLIE, ARM):
+        usual = build(root / mode / USUAL, Change(mode, USUAL, ()), RUNS)
         for size in SIZES:
-            found = list(with_change(usual, changed, size))
-            right = [names(each, change.features) for each in found]
-            headlines = [each.differences[0].feature for each in found if each.differences]
-            yield _share(f"{change.name}, {size} pairs: named correctly", right, 90.0,
-                         at_most=False, remark=_most_frequent(headlines))  # fmt: skip
+            red = [each.outcome == "different" for each in unchanged(usual, size)]
+            name = f"{mode}, no change, {size} and {size} runs: red"
+            yield _share(name, red, 1.0, at_most=True)
+        for change in CHANGES:
+            if change.mode == mode:
+                yield from _named(usual, change, root / mode)
 
 
-def build(root: Path, parameter: str, runs: int) -> Reference:
+def _named(usual: Reference, change: Change, root: Path) -> Iterator[Row]:
+    changed = build(root / change.name.replace(" ", "_"), change, BLOCKS)
+    for size in SIZES:
+        found = list(with_change(usual, changed, size))
+        right = [names(each, change.features) for each in found]
+        headlines = [each.differences[0].feature for each in found if each.differences]
+        yield _share(f"{change.name}, {size} pairs: named correctly", right, 90.0,
+                     at_most=False, remark=_most_frequent(headlines))  # fmt: skip
+
+
+def build(root: Path, change: Change, runs: int) -> Reference:
     """Record the runs of one build and read them, unless both was done before."""
     kept = root / "reference.pickle"
     if kept.is_file():
         read: Reference = pickle.loads(kept.read_bytes())  # noqa: S301 -- written below
         return read
-    options = Options(nav2_params=named_values([parameter] if parameter else []))
-    campaign = Campaign(seed=SEED, goals_per_run=1, options=options)
+    nav2 = named_values([change.parameter] if change.parameter else [])
+    campaign = Campaign(seed=SEED, goals_per_run=1, options=Options(nav2_params=nav2))
     for run in range(runs):
-        record_run(recipe_for(MODE, run, campaign), RunDirectory(root, MODE, run))
+        recipe: Any = recipe_for(change.mode, run, campaign)
+        if change.gains != 1.0:
+            session = replace(recipe.session, gains=change.gains * recipe.session.gains)
+            recipe = replace(recipe, session=session)
+        record_run(recipe, RunDirectory(root, change.mode, run))
     read = read_reference([root], build_manager())
     kept.write_bytes(pickle.dumps(read))
     return read

@@ -47,6 +47,25 @@ def test_the_comment_says_what_changed_by_how_much_and_what_did_not() -> None:
     assert "`odd?<b>?name.value`" in told  # inside code, no markup of a name counts
 
 
+def test_signals_of_any_robot_are_compared_and_come_after_known_features() -> None:
+    rng = np.random.default_rng(0)
+    first, second = reference(np.arange(8.0)), reference(np.arange(8.0))
+    signal = "signals./joints/error[0].std"
+    for each, level in ((first, 0.0), (second, 1.0)):
+        each.table[signal] = level + rng.normal(size=8) / 10.0
+    (only,) = compare(first, second).differences
+    assert (only.feature, only.family) == (signal, "signals")
+    second.table["drive.path"] += 20.0 + rng.normal(size=8)  # less certain than the signal
+    assert [d.feature for d in compare(first, second).differences] == ["drive.path", signal]
+
+
+def test_a_difference_far_below_the_spread_of_a_signal_does_not_count() -> None:
+    first, second = reference(np.arange(8.0)), reference(np.arange(8.0))
+    for each, more in ((first, 0.0), (second, 1e-3)):
+        each.table["signals./joints/effort[0].mean"] = np.arange(8.0) + more
+    assert compare(first, second).outcome == "same"
+
+
 def test_a_set_does_not_differ_from_itself() -> None:
     normal = reference(np.arange(8.0))
     assert compare(normal, normal).outcome == "same"
@@ -100,7 +119,7 @@ def test_equal_robots_of_a_recording_make_no_interval_shorter_and_no_p_value_sma
 
 def test_a_difference_below_the_resolution_does_not_count() -> None:
     table = reference([0.0, 0.02, 0.04, 2.0]).table
-    steps = resolved_values(table[["drive.path"]], table)
+    (steps,) = resolved_values([table[["drive.path"]]], table)
     assert steps[:, 0].tolist() == [0.0, 0.0, 0.0, 20.0]
 
 
