@@ -9,13 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from oracle_pipeline.options import rate_option
-from sim.commands.batch import (
-    allow_actuation_option,
-    campaign,
-    campaign_options,
-    short_errors,
-    workers_option,
-)
+from sim.commands import batch
 
 if TYPE_CHECKING:
     from assets.search.closed_loop import Finding
@@ -86,9 +80,9 @@ if TYPE_CHECKING:
     "--corpus", type=click.Path(path_type=Path, file_okay=False),
     help="Folder of the misses, as scenario files.  [default: misses in --out]",
 )  # fmt: skip
-@allow_actuation_option
-@campaign_options
-@workers_option
+@batch.allow_actuation_option
+@batch.campaign_options
+@batch.workers_option
 def search(
     template: str | None, budget: str, out: Path, corpus: Path | None, workers: int, **options: Any
 ) -> None:
@@ -118,8 +112,12 @@ def search(
 
     if (template is None) == (not options["topics"]):
         raise click.UsageError("Give either a TEMPLATE or --topic to vary.")
-    with short_errors():
-        limit, of_runs, controls = TrialBudget.parse(budget), campaign(options), out / CONTROLS
+    with batch.short_errors():
+        limit, of_runs, controls = (
+            TrialBudget.parse(budget),
+            batch.campaign(options),
+            out / CONTROLS,
+        )
         names = {item.name for item in fields(SearchSettings)} - {"campaign"}
         settings = SearchSettings(campaign=of_runs, **{name: options[name] for name in names})
         space = attacks(template, controls, settings)

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from oracle_pipeline.datasets import is_hard_negative
 from oracle_pipeline.detectors import Detector, DetectorError, panel
-from oracle_pipeline.evaluation import integrity_checks
+from oracle_pipeline.evaluation import integrity_checks, splits
 from oracle_pipeline.evaluation.alarm_metrics import judge_alarms
 from oracle_pipeline.evaluation.aspects import aspects_table
 from oracle_pipeline.evaluation.card_verdicts import (
@@ -34,16 +34,6 @@ from oracle_pipeline.evaluation.held_out import HeldOutScores, held_out
 from oracle_pipeline.evaluation.judged_runs import JudgedRuns
 from oracle_pipeline.evaluation.kill_rates import kill_matrix
 from oracle_pipeline.evaluation.open_claims import open_claims
-from oracle_pipeline.evaluation.splits import (
-    BLOCK,
-    HARMLESS,
-    WORLD,
-    Fold,
-    block_folds,
-    group_folds,
-    tested_in,
-    without_hard_negatives,
-)
 from oracle_pipeline.evaluation.task_effects import TaskEffects, task_effects
 from oracle_pipeline.scoring.conformal import runs_needed
 from oracle_pipeline.scoring.feature_sets import ASPECTS, feature_sets
@@ -124,7 +114,7 @@ def _evaluated(
 ) -> CampaignEvaluation:
     """Run all steps; `truth` includes runs that ended before their onset."""
     campaign = steps.campaign
-    verdicts = steps.verdicts(BLOCK, steps.folds)
+    verdicts = steps.verdicts(splits.BLOCK, steps.folds)
     headline = _supported(verdicts.scores())
     checks = steps.checks(headline, graph_differences)
     effects = task_effects(campaign)
@@ -181,33 +171,35 @@ class _Steps:
         self.compared = comparisons(campaign.features)
         self.folds = card_folds(campaign.features, seed)
 
-    def verdicts(self, split: str, folds: Sequence[Fold]) -> CardVerdicts:
+    def verdicts(self, split: str, folds: Sequence[splits.Fold]) -> CardVerdicts:
         """Judge all tested runs by the cards of their folds."""
         self.progress(f"{HEADLINE}; held out: {split}")
         return card_verdicts(self.campaign, folds, self.observations)
 
     def rows(self, verdicts: CardVerdicts) -> Iterator[Row]:
         """Yield the rows of the verdicts in each comparison, then of all detectors."""
-        yield from self._of_cards(BLOCK, self.folds, verdicts)
+        yield from self._of_cards(splits.BLOCK, self.folds, verdicts)
         df = self.campaign.features
-        if folds := group_folds(df, WORLD, self.seed):
-            yield from self._of_cards(WORLD, folds, self.verdicts(WORLD, folds))
-        if is_hard_negative(df).any() and (folds := without_hard_negatives(df, self.folds)):
-            yield from self._of_cards(HARMLESS, folds, self.verdicts(HARMLESS, folds))
+        if folds := splits.group_folds(df, splits.WORLD, self.seed):
+            yield from self._of_cards(splits.WORLD, folds, self.verdicts(splits.WORLD, folds))
+        if is_hard_negative(df).any() and (folds := splits.without_hard_negatives(df, self.folds)):
+            yield from self._of_cards(splits.HARMLESS, folds, self.verdicts(splits.HARMLESS, folds))
         for name, detector in panel(self.seed).items():
             self.progress(name)
-            yield {"detector": name, "split": BLOCK, **self._of_detector(detector)}
+            yield {"detector": name, "split": splits.BLOCK, **self._of_detector(detector)}
 
-    def _of_cards(self, split: str, folds: Sequence[Fold], verdicts: CardVerdicts) -> Iterator[Row]:
+    def _of_cards(
+        self, split: str, folds: Sequence[splits.Fold], verdicts: CardVerdicts
+    ) -> Iterator[Row]:
         """Yield a row for each comparison, on the tested runs only."""
-        tested, scores = tested_in(folds), verdicts.scores()
+        tested, scores = splits.tested_in(folds), verdicts.scores()
         for each in self.compared:
             scope = ComparedRuns(each.name, each.runs & tested)
             row = judge(scores, self.campaign, scope, self.rng, exits=verdicts.exits())
             yield {"detector": HEADLINE, "split": split, "scope": each.name, **row}
 
     def _of_detector(self, detector: Detector) -> Row:
-        all_modes, folds = self.compared[0], block_folds(self.campaign.features, self.seed)
+        all_modes, folds = self.compared[0], splits.block_folds(self.campaign.features, self.seed)
         try:
             scores = held_out(self.campaign, self.columns, detector, folds)
         except DetectorError as error:

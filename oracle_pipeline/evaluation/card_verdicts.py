@@ -14,16 +14,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from oracle_pipeline.evaluation import splits
 from oracle_pipeline.evaluation.held_out import HeldOutScores
-from oracle_pipeline.evaluation.splits import (
-    FOLDS,
-    MIN_BLOCKS,
-    SESSION,
-    Fold,
-    block_folds,
-    group_folds,
-    within_one_card,
-)
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.conformal import ConformalError, runs_needed
@@ -75,24 +67,26 @@ def _numbers(verdict: Verdict | None, aspect: str) -> tuple[float | None, float 
 
 def blocks_for_verdicts() -> int:
     """Return how many blocks leave enough for a verdict when a fifth of them is held out."""
-    return next(n for n in count(1) if n - -(-n // FOLDS) >= runs_needed(RATE))
+    return next(n for n in count(1) if n - -(-n // splits.FOLDS) >= runs_needed(RATE))
 
 
-def card_folds(df: pd.DataFrame, seed: int) -> list[Fold]:
+def card_folds(df: pd.DataFrame, seed: int) -> list[splits.Fold]:
     """Return the folds of the cards: whole sessions are held out if there are five, else blocks.
 
     A campaign of a few blocks has one fold: a single card judges all runs, each by the models that
     left its block out.
     """
-    by_session = df["session"].nunique() >= FOLDS
-    folds = group_folds(df, SESSION, seed) if by_session else block_folds(df, seed)
+    by_session = df["session"].nunique() >= splits.FOLDS
+    folds = (
+        splits.group_folds(df, splits.SESSION, seed) if by_session else splits.block_folds(df, seed)
+    )
     block = df["block"].to_numpy()
     known = [len(np.unique(block[fold.fit | fold.calibrate])) for fold in folds]
-    return folds if min(known, default=0) >= MIN_BLOCKS else within_one_card(df)
+    return folds if min(known, default=0) >= splits.MIN_BLOCKS else splits.within_one_card(df)
 
 
 def card_verdicts(
-    runs: MeasuredRuns, folds: Sequence[Fold], observations: Observations | None = None
+    runs: MeasuredRuns, folds: Sequence[splits.Fold], observations: Observations | None = None
 ) -> CardVerdicts:
     """Judge the tested runs of each fold by a card of its other normal runs.
 

@@ -22,16 +22,9 @@ from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.datasets import KEYS, MISSING, WHERE, WINDOW_START, write_table
 from oracle_pipeline.features.adapters.thesis import MessageTable, ThesisPlugin
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.engine.kept_messages import NO_GRAPH, Graphs, KeptMessages
 from oracle_pipeline.features.engine.kept_rows import Carried
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Located,
-    Missing,
-    Values,
-    Window,
-)
 from oracle_pipeline.features.engine.shared import system_of
 from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.engine.tables import FeatureTables, RecordingFeatures, Table, together
@@ -47,8 +40,8 @@ from oracle_pipeline.windows import windows_ns
 if TYPE_CHECKING:
     import pandas as pd
 
-DISTURBED = Missing("messages were lost or late while it was recorded")
-_EXPLAINED = Located, Missing  # a tuple, since a union would be made anew for each number
+DISTURBED = fp.Missing("messages were lost or late while it was recorded")
+_EXPLAINED = fp.Located, fp.Missing  # a tuple, since a union would be made anew for each number
 
 _log = logging.getLogger(__name__)
 
@@ -63,13 +56,13 @@ class _Row:
 
     def put(self, column: str, value: Any) -> None:
         """Store a finite number; anything else is missing."""
-        if isinstance(value, Missing):
+        if isinstance(value, fp.Missing):
             reason = value.reason
         else:
-            number = float(value.value if isinstance(value, Located) else value)
+            number = float(value.value if isinstance(value, fp.Located) else value)
             if math.isfinite(number):
                 self.values[column] = number
-                if isinstance(value, Located):
+                if isinstance(value, fp.Located):
                     self.where[column] = value.where
                 return
             reason = f"the plugin returned {number}"
@@ -80,7 +73,7 @@ class _Row:
         """Store the statistics of signals, without reasons for those that are missing."""
         self.values |= table.values(span, per_window=per_window)
 
-    def without_timing(self, features: Mapping[str, Feature]) -> None:
+    def without_timing(self, features: Mapping[str, fp.Feature]) -> None:
         """Take out the features that say more about the recorder than about the robot."""
         for column in self.values:
             if column in features and features[column].timing:
@@ -345,28 +338,30 @@ class _Extraction:
             self._graphs[starts] = Graphs(nx.freeze(whole), system, known)
         return self._graphs[starts]
 
-    def _common(self, span: Span) -> Window:
+    def _common(self, span: Span) -> fp.Window:
         return self._recording.span(span, self._graphs_of(span))
 
-    def _prepare(self, plugin: FeaturePlugin, window: Window | Missing) -> Any:
+    def _prepare(self, plugin: fp.FeaturePlugin, window: fp.Window | fp.Missing) -> Any:
         """Return what a plugin prepares from the whole recording, or why it cannot."""
-        if plugin.prepare is None or isinstance(window, Missing):
+        if plugin.prepare is None or isinstance(window, fp.Missing):
             return None
         try:
             return plugin.prepare(window)
         except Exception as error:  # foreign code
             return self._failure(plugin.name, error)
 
-    def _compute(self, plugin: FeaturePlugin, window: Window | Missing, prepared: Any) -> Values:
+    def _compute(
+        self, plugin: fp.FeaturePlugin, window: fp.Window | fp.Missing, prepared: Any
+    ) -> fp.Values:
         """Call a plugin; the result has an entry for each of its features, even after an error."""
         names = [feature.name for feature in plugin.features]
         for obstacle in (window, prepared):
-            if isinstance(obstacle, Missing):
+            if isinstance(obstacle, fp.Missing):
                 return dict.fromkeys(names, obstacle)
-        assert isinstance(window, Window)  # noqa: S101 -- the loop returned otherwise
+        assert isinstance(window, fp.Window)  # noqa: S101 -- the loop returned otherwise
         try:
             values = plugin.compute(window)
-            if isinstance(values, Missing):
+            if isinstance(values, fp.Missing):
                 return dict.fromkeys(names, values)
             if values.keys() != set(names):
                 raise KeyError(f"returned {sorted(values)} instead of {sorted(names)}")
@@ -374,7 +369,7 @@ class _Extraction:
         except Exception as error:  # foreign code
             return dict.fromkeys(names, self._failure(plugin.name, error))
 
-    def _failure(self, plugin: str, error: Exception) -> Missing:
+    def _failure(self, plugin: str, error: Exception) -> fp.Missing:
         """Log a plugin's first failure; call it from the exception handler."""
         if plugin not in self._failed:
             self._failed.add(plugin)
@@ -383,7 +378,7 @@ class _Extraction:
                 "Plugin %s failed on %s: %s", plugin, self._run.path, error,
                 exc_info=None if is_expected else error,
             )  # fmt: skip
-        return Missing(f"{type(error).__name__}: {error}")
+        return fp.Missing(f"{type(error).__name__}: {error}")
 
 
 def only_robot(run: OpenedRun, choices: RoleChoices | None = None) -> Robot:
@@ -426,7 +421,7 @@ def _table(
     return Table(data, fields)
 
 
-def _fields(features: Mapping[str, Feature]) -> dict[str, dict[str, str]]:
+def _fields(features: Mapping[str, fp.Feature]) -> dict[str, dict[str, str]]:
     """Return the metadata of each column for the Parquet schema."""
     return {
         column: {

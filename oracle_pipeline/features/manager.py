@@ -21,13 +21,7 @@ import pluggy
 from oracle_pipeline.features.adapters.ros_stand_ins import stand_ins
 from oracle_pipeline.features.adapters.thesis import FeatureExtractionPlugin, ThesisPlugin
 from oracle_pipeline.features.air_traffic import adsb_reports, fused_tracks
-from oracle_pipeline.features.engine.plugin import (
-    PROJECT,
-    Feature,
-    FeatureHooks,
-    FeaturePlugin,
-    PluginError,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.lidar import (
     costmap_consistency,
     laser_ranges,
@@ -84,12 +78,12 @@ _log = logging.getLogger(__name__)
 class FeatureManager:
     """The plugins in use, in the order of their columns."""
 
-    plugins: tuple[FeaturePlugin, ...]
+    plugins: tuple[fp.FeaturePlugin, ...]
     thesis: tuple[ThesisPlugin, ...] = ()
     broken: dict[str, str] = field(default_factory=dict)  # reasons by plugin that failed to load
     folder: Path | None = None  # from which plugins were loaded
 
-    def features(self) -> dict[str, Feature]:
+    def features(self) -> dict[str, fp.Feature]:
         """Return the feature of each column of the native plugins."""
         return {p.column(feature): feature for p in self.plugins for feature in p.features}
 
@@ -110,8 +104,8 @@ def build_manager(folder: Path | None = None) -> FeatureManager:
         If the folder is missing, or two plugins offer the same column.
     """
     folder = folder or plugin_folder()
-    registry = pluggy.PluginManager(PROJECT)
-    registry.add_hookspecs(FeatureHooks)
+    registry = pluggy.PluginManager(fp.PROJECT)
+    registry.add_hookspecs(fp.FeatureHooks)
     for module in _BUILT_IN:
         registry.register(module)
     modules, broken = register_others(registry, folder)
@@ -151,7 +145,7 @@ def register_others(
 
 
 def _register_entry_points(registry: pluggy.PluginManager, broken: dict[str, str]) -> None:
-    for entry_point in sorted(importlib.metadata.entry_points(group=PROJECT)):
+    for entry_point in sorted(importlib.metadata.entry_points(group=fp.PROJECT)):
         try:
             registry.register(entry_point.load(), entry_point.name)
         except Exception as error:  # foreign code
@@ -162,7 +156,7 @@ def _load_folder(
     registry: pluggy.PluginManager, folder: Path, broken: dict[str, str]
 ) -> dict[str, ModuleType]:
     if not folder.is_dir():
-        raise PluginError(
+        raise fp.PluginError(
             f"There is no plugin folder {folder}; create it, or set {FOLDER_VARIABLE} to another."
         )
     modules: dict[str, ModuleType] = {}
@@ -196,8 +190,10 @@ def _load(path: Path) -> ModuleType:
     return module
 
 
-def _offered(registry: pluggy.PluginManager, broken: dict[str, str]) -> tuple[FeaturePlugin, ...]:
-    plugins: list[FeaturePlugin] = []
+def _offered(
+    registry: pluggy.PluginManager, broken: dict[str, str]
+) -> tuple[fp.FeaturePlugin, ...]:
+    plugins: list[fp.FeaturePlugin] = []
     for implementation in registry.hook.register_features.get_hookimpls():
         try:
             plugins += _checked(implementation.function())
@@ -206,8 +202,8 @@ def _offered(registry: pluggy.PluginManager, broken: dict[str, str]) -> tuple[Fe
     return tuple(plugins)
 
 
-def _checked(offered: Any) -> list[FeaturePlugin]:
-    if not isinstance(offered, list) or not all(isinstance(p, FeaturePlugin) for p in offered):
+def _checked(offered: Any) -> list[fp.FeaturePlugin]:
+    if not isinstance(offered, list) or not all(isinstance(p, fp.FeaturePlugin) for p in offered):
         raise TypeError("register_features must return a list of FeaturePlugin")
     return offered
 
@@ -236,16 +232,16 @@ def _classes(module: ModuleType) -> list[type[FeatureExtractionPlugin]]:
     ]
 
 
-def _check_names(plugins: tuple[FeaturePlugin, ...]) -> None:
+def _check_names(plugins: tuple[fp.FeaturePlugin, ...]) -> None:
     """Raise `PluginError` if two plugins or two columns have the same name."""
     names = Counter(plugin.name for plugin in plugins)
     for name in (name for name, count in names.items() if count > 1):
-        raise PluginError(f"{names[name]} plugins are called {name!r}; rename all but one.")
+        raise fp.PluginError(f"{names[name]} plugins are called {name!r}; rename all but one.")
     offered: dict[str, str] = {}
     for plugin in plugins:
         for column in map(plugin.column, plugin.features):
             if column in offered:
-                raise PluginError(
+                raise fp.PluginError(
                     f"Feature {column!r} is offered twice, by {offered[column]} and by "
                     f"{plugin.name}; rename one or leave its plugin out."
                 )

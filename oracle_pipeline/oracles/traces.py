@@ -12,16 +12,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.engine.kept_messages import NO_GRAPH, KeptMessages
-from oracle_pipeline.features.engine.plugin import (
-    FeaturePlugin,
-    Missing,
-    Request,
-    Series,
-    TopicArrivals,
-    Window,
-    sole_series,
-)
 from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.motion.velocity import keep as keep_command
 from oracle_pipeline.features.navigation.goals import GOAL_TOPICS, goals_so_far
@@ -146,17 +138,17 @@ def _medians(rows: Floats) -> Floats:
 
 
 #: The topics of a trace, requested as a plugin without features.
-TRACE = FeaturePlugin(
-    "trace", "trace", (), lambda _: Missing("a trace has no features"),
+TRACE = fp.FeaturePlugin(
+    "trace", "trace", (), lambda _: fp.Missing("a trace has no features"),
     GOAL_TOPICS | {
-        "command": Request(keep_command, role=COMMAND, optional=True, many=True),
-        "odometry": Request(_keep_odometry, role=ODOMETRY, optional=True, many=True),
-        "inertial": Request(
+        "command": fp.Request(keep_command, role=COMMAND, optional=True, many=True),
+        "odometry": fp.Request(_keep_odometry, role=ODOMETRY, optional=True, many=True),
+        "inertial": fp.Request(
             _keep_inertial, role=IMU, optional=True, every_s=_SAMPLED_S, many=True
         ),
-        "pose": Request(_keep_poses, role=POSE, optional=True, many=True),
-        "scans": Request(_keep_scans, role=SCAN, optional=True, many=True),
-        "logged": Request(
+        "pose": fp.Request(_keep_poses, role=POSE, optional=True, many=True),
+        "scans": fp.Request(_keep_scans, role=SCAN, optional=True, many=True),
+        "logged": fp.Request(
             lambda messages: messages.level, msgtype="rcl_interfaces/msg/Log", optional=True,
             many=True,
         ),
@@ -183,7 +175,7 @@ def trace_of(recording: KeptMessages) -> pd.DataFrame:
     """
     whole = Span(0, recording.clock.duration_ns)
     window = recording.window(TRACE, whole, recording.span(whole, NO_GRAPH))
-    if isinstance(window, Missing):  # a topic cannot be decoded
+    if isinstance(window, fp.Missing):  # a topic cannot be decoded
         window = recording.span(whole, NO_GRAPH)
     clock = np.arange(0.0, whole.end_s, STEP_S)
     columns = {name: np.full(len(clock), np.nan) for name in SIGNALS}
@@ -191,7 +183,7 @@ def trace_of(recording: KeptMessages) -> pd.DataFrame:
     return pd.DataFrame({TIME: clock, **columns})
 
 
-def signals(window: Window, clock: Floats) -> dict[str, Floats]:
+def signals(window: fp.Window, clock: Floats) -> dict[str, Floats]:
     """Return the signals that a recording has, sampled at the times of a clock [s]."""
     found: dict[str, Floats] = {}
     for part in (_driven, _sensed, _scanned, _navigated, _logged):
@@ -207,7 +199,7 @@ def signals(window: Window, clock: Floats) -> dict[str, Floats]:
     return found
 
 
-def quiet_topics(arrivals: Mapping[str, TopicArrivals], clock: Floats) -> Floats:
+def quiet_topics(arrivals: Mapping[str, fp.TopicArrivals], clock: Floats) -> Floats:
     """Return the number of periodic topics that have been silent for too long, at each time."""
     quiet = np.zeros(len(clock))
     for arrived in arrivals.values():
@@ -223,7 +215,7 @@ def quiet_topics(arrivals: Mapping[str, TopicArrivals], clock: Floats) -> Floats
     return quiet
 
 
-def _driven(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
+def _driven(window: fp.Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
     if (commands := _one(window, "command")) is not None:
         yield from zip(("command_speed", "command_turn"), _held(commands, clock), strict=True)
     if (odometry := _one(window, "odometry")) is not None:
@@ -234,7 +226,7 @@ def _driven(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
         yield "travelled", np.where(np.isnan(x), np.nan, np.nancumsum(steps))
 
 
-def _sensed(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
+def _sensed(window: fp.Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
     if (inertial := _first(window, "inertial")) is not None:
         yield from zip(("gyro_turn", "acceleration"), _held(inertial, clock), strict=True)
     if (poses := _one(window, "pose")) is not None:
@@ -242,10 +234,10 @@ def _sensed(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
         if (odometry := _one(window, "odometry")) is not None:
             by_odometry = _held(odometry, poses.times_s)[:2].T
             jumps = np.abs(_strides(poses.values[:, :2]) - _strides(by_odometry))
-            yield "pose_jump", _held(Series(poses.times_s, jumps[:, None]), clock)[0]
+            yield "pose_jump", _held(fp.Series(poses.times_s, jumps[:, None]), clock)[0]
 
 
-def _scanned(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
+def _scanned(window: fp.Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
     scans = window.topics.get("scans", {})
     if not scans:
         return
@@ -257,9 +249,9 @@ def _scanned(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
             yield f"{name}_{end}", np.where(known.any(axis=0), value, np.nan)
 
 
-def _navigated(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
+def _navigated(window: fp.Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
     goals = goals_so_far(window)
-    if isinstance(goals, Missing):
+    if isinstance(goals, fp.Missing):
         return
     time_s = np.zeros(len(clock))
     for goal in goals:
@@ -271,24 +263,24 @@ def _navigated(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
     yield "goals_failed", _cumulative_count(np.array(failed, dtype=np.float64), clock)
 
 
-def _logged(window: Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
+def _logged(window: fp.Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
     logs = window.topics.get("logged", {}).values()
     if logs:
         bad = [series.times_s[series.values >= _ERROR] for series in logs]
         yield "errors", _cumulative_count(np.concatenate(bad), clock)
 
 
-def _one(window: Window, key: str) -> Series | None:
+def _one(window: fp.Window, key: str) -> fp.Series | None:
     """Return the values of a role that only one topic has."""
-    return sole_series(window.topics.get(key, {}))
+    return fp.sole_series(window.topics.get(key, {}))
 
 
-def _first(window: Window, key: str) -> Series | None:
+def _first(window: fp.Window, key: str) -> fp.Series | None:
     """Return the values of the first topic of a role, by name."""
     return next(iter(window.topics.get(key, {}).values()), None)
 
 
-def _held(series: Series, clock: Floats) -> Floats:
+def _held(series: fp.Series, clock: Floats) -> Floats:
     """Return the last value at each time, shape (n_values, n_times); NaN before the first."""
     last = np.searchsorted(series.times_s, clock, side="right") - 1
     values = np.where(np.isfinite(series.values), series.values, np.nan)

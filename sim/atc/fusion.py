@@ -11,19 +11,9 @@ from collections.abc import Callable
 from typing import Any, Generic, TypeAlias
 
 from oracle_pipeline.bags.types import message_class
+from sim.atc import sensors
 from sim.atc.filter import MotionFilter, Position
 from sim.atc.geodesy import convergence, ground_range, to_geodetic, to_plane
-from sim.atc.sensors import (
-    ADSB_TYPE,
-    ALTITUDE_STEP_M,
-    PLOT_TYPE,
-    PRIMARY,
-    RADAR_RANGE_M,
-    REPLY_TYPE,
-    SECONDARY,
-    TURN_S,
-    RadarErrors,
-)
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND
@@ -42,9 +32,9 @@ ADSB, PSR, SSR = 1, 2, 4  # as in atc_msgs/msg/Track
 GATE = 25.0  # variances; one of 300,000 correct reports is outside
 STRIKES = 3  # reports in a row that do not fit, after which the track moves
 CONFIRMED_AFTER = 3  # reports
-MEMORY_NS = round(2 * TURN_S * SECOND)  # how long a source counts after its last report
-LIFETIME_NS = round(3 * TURN_S * SECOND)  # of a track without new reports
-TENTATIVE_LIFETIME_NS = round(1.5 * TURN_S * SECOND)
+MEMORY_NS = round(2 * sensors.TURN_S * SECOND)  # how long a source counts after its last report
+LIFETIME_NS = round(3 * sensors.TURN_S * SECOND)  # of a track without new reports
+TENTATIVE_LIFETIME_NS = round(1.5 * sensors.TURN_S * SECOND)
 
 # What the fields of a squitter can hold.
 _LOWEST_M, _HIGHEST_M = -1_000 * 0.3048, 126_700 * 0.3048
@@ -52,7 +42,7 @@ _FASTEST = 4_100 * 0.5144  # [m/s]
 
 _ADSB_SD_M = 30.0 / 2.45  # NACp 9, along one axis
 _ADSB_SPEED_SD = 3.0 / 2.45  # NACv 2 [m/s]
-_ALTITUDE_SD_M = ALTITUDE_STEP_M / math.sqrt(12.0)
+_ALTITUDE_SD_M = sensors.ALTITUDE_STEP_M / math.sqrt(12.0)
 _ANY_SPEED = 150.0  # standard deviation where nothing is known [m/s]
 _ANY_CLIMB = 10.0
 _USUAL_ALTITUDE_M = 3_000.0  # for echoes of which nothing else is known
@@ -163,9 +153,9 @@ class Fusion(Node):
         self._by_address: dict[str, _Aircraft] = {}
         self._begun = 0
         self._publisher = self.create_publisher(TRACKS_TYPE, "/tracks")
-        self.create_subscription(ADSB_TYPE, ADSB_TOPIC, self._on_adsb, qos.SENSOR_DATA)
-        self.create_subscription(PLOT_TYPE, "/psr", self._on_echo, qos.SENSOR_DATA)
-        self.create_subscription(REPLY_TYPE, "/ssr", self._on_reply, qos.SENSOR_DATA)
+        self.create_subscription(sensors.ADSB_TYPE, ADSB_TOPIC, self._on_adsb, qos.SENSOR_DATA)
+        self.create_subscription(sensors.PLOT_TYPE, "/psr", self._on_echo, qos.SENSOR_DATA)
+        self.create_subscription(sensors.REPLY_TYPE, "/ssr", self._on_reply, qos.SENSOR_DATA)
         self.create_timer(TRACKS_NS, self._publish)
 
     def _on_adsb(self, report: Any) -> None:
@@ -192,7 +182,7 @@ class Fusion(Node):
         if not (_is_plot(reply) and _is_altitude(reply.altitude_m)):
             return
         time_ns = self._time_ns(reply)
-        place, sd = _located(reply, reply.altitude_m, SECONDARY)
+        place, sd = _located(reply, reply.altitude_m, sensors.SECONDARY)
         track = self._addressed(reply.icao24, time_ns, place, sd)
         track.take(SSR, time_ns, place, sd)
         track.height.take(time_ns, reply.altitude_m, _ALTITUDE_SD_M)
@@ -206,12 +196,12 @@ class Fusion(Node):
         track, altitude_m = None, math.nan
         for candidate in self._tracks:
             height_m = candidate.altitude_m(time_ns)
-            place, sd = _located(plot, height_m, PRIMARY)
+            place, sd = _located(plot, height_m, sensors.PRIMARY)
             apart = candidate.place.distance_squared(time_ns, place, sd)
             rank = not candidate.is_confirmed, apart
             if apart <= GATE and (best is None or rank < best):
                 best, track, altitude_m = rank, candidate, height_m
-        place, sd = _located(plot, altitude_m, PRIMARY)
+        place, sd = _located(plot, altitude_m, sensors.PRIMARY)
         (track or self._begin()).take(PSR, time_ns, place, sd)
 
     def _addressed(self, icao24: str, time_ns: int, place: complex, sd: float) -> _Aircraft:
@@ -247,11 +237,11 @@ def _is_altitude(altitude_m: float) -> bool:
 
 
 def _is_plot(plot: Any) -> bool:
-    in_range = 0.0 <= plot.slant_range_m <= 2.0 * RADAR_RANGE_M
+    in_range = 0.0 <= plot.slant_range_m <= 2.0 * sensors.RADAR_RANGE_M
     return bool(in_range and 0.0 <= plot.azimuth_deg <= 360.0)
 
 
-def _located(plot: Any, altitude_m: float, errors: RadarErrors) -> tuple[complex, float]:
+def _located(plot: Any, altitude_m: float, errors: sensors.RadarErrors) -> tuple[complex, float]:
     """Return the position of a plot in the plane, and its larger standard deviation [m]."""
     if math.isnan(altitude_m):
         altitude_m = _USUAL_ALTITUDE_M

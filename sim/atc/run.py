@@ -6,20 +6,12 @@ The recorder starts when the tracks are established. The run ends after the reci
 from dataclasses import replace
 from pathlib import Path
 
+from sim.atc import sensors
 from sim.atc.airspace import AirSpace
 from sim.atc.conflict_detection import ConflictDetection
 from sim.atc.display import ControllerDisplay
 from sim.atc.fusion import Fusion
 from sim.atc.recipes import SETTLING_S, AtcRecipe
-from sim.atc.sensors import (
-    PRIMARY,
-    SECONDARY,
-    AdsbReceiver,
-    AirspaceClock,
-    PrimaryRadar,
-    SecondaryRadar,
-    Transponder,
-)
 from sim.middleware.executor import MILLISECOND
 from sim.timed_run import TimedRun
 
@@ -53,16 +45,19 @@ class AtcRun(TimedRun):
         recipe, domain, air = self._recipe, self.domain, self._air
         session = recipe.session
         bias = {"range_bias_m": session.range_bias_m, "azimuth_bias_deg": session.azimuth_bias_deg}
-        who = [Transponder(f.icao24, f.callsign, f.squawk) for f in recipe.flights]
-        AirspaceClock(domain)
-        AdsbReceiver(domain, who, air.state, recipe.generator("/adsb_receiver"))
-        PrimaryRadar(
-            domain, air.in_the_air, replace(PRIMARY, **bias), recipe.generator("/primary_radar")
+        who = [sensors.Transponder(f.icao24, f.callsign, f.squawk) for f in recipe.flights]
+        sensors.AirspaceClock(domain)
+        sensors.AdsbReceiver(domain, who, air.state, recipe.generator("/adsb_receiver"))
+        sensors.PrimaryRadar(
+            domain,
+            air.in_the_air,
+            replace(sensors.PRIMARY, **bias),
+            recipe.generator("/primary_radar"),
         )
-        SecondaryRadar(
+        sensors.SecondaryRadar(
             domain,
             who,
             air.in_the_air,
-            replace(SECONDARY, **bias),
+            replace(sensors.SECONDARY, **bias),
             recipe.generator("/secondary_radar"),
         )

@@ -11,16 +11,7 @@ import click
 from oracle_pipeline.bags.layout import grid_root
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE
-from sim.commands.batch import (
-    allow_actuation_option,
-    campaign,
-    campaign_options,
-    home,
-    make_runs,
-    refresh_option,
-    short_errors,
-    workers_option,
-)
+from sim.commands import batch
 from sim.commands.kill_matrix import derive_mutant, mutants, write_index
 from sim.commands.parameter_values import BUILT_IN, sweep, sweeps_of
 from sim.experiments import Job, record_job
@@ -59,10 +50,10 @@ from sim.testbeds import TESTBEDS, testbed_of, which_testbed
     help="Root of the run directories and place of grid.json; with --all, of a folder for each "
     "attack.  [default: grids/SCENARIO below $ORACLE_HOME or ./data]",
 )  # fmt: skip
-@allow_actuation_option
-@campaign_options
-@workers_option
-@refresh_option
+@batch.allow_actuation_option
+@batch.campaign_options
+@batch.workers_option
+@batch.refresh_option
 def grid(
     scenario: str | None,
     all_attacks: bool,
@@ -91,7 +82,7 @@ def grid(
     """  # noqa: D301 -- click reads the control character
     if (scenario is None) != all_attacks or (all_attacks and texts):
         raise click.UsageError("Name a SCENARIO, or give --all without --over.")
-    with short_errors():
+    with batch.short_errors():
         names = [scenario] if scenario else _attacks(controls, allow_actuation=allow_actuation)
         modes = [find_mode(name, allow_actuation=allow_actuation) for name in names]
         grids = [
@@ -105,12 +96,12 @@ def grid(
         ]
     make: Callable[[Job], Manifest]
     if controls is None:
-        make = functools.partial(record_job, campaign(options), refresh)
+        make = functools.partial(record_job, batch.campaign(options), refresh)
     else:
         make = functools.partial(derive_mutant, controls, refresh)
     jobs = list(itertools.chain(*grids))
     try:
-        make_runs(make, jobs, workers)
+        batch.make_runs(make, jobs, workers)
     finally:
         for grid in grids:
             click.echo(f"{write_index(grid)}: {len(grid)} mutants")
@@ -134,5 +125,5 @@ def _attacks(controls: Path | None, *, allow_actuation: bool) -> list[str]:
 
 def _root(out: Path | None, mode: Mode, is_one_of_many: bool) -> Path:
     if out is None:
-        return grid_root(home(), mode.id)
+        return grid_root(batch.home(), mode.id)
     return out / mode.id if is_one_of_many else out

@@ -7,18 +7,7 @@ from typing import Any
 
 import click
 
-from sim.commands.batch import (
-    allow_actuation_option,
-    campaign,
-    campaign_options,
-    make_runs,
-    mode_option,
-    number_option,
-    out_option,
-    refresh_option,
-    short_errors,
-    workers_option,
-)
+from sim.commands import batch
 from sim.experiments import Job, record_job
 from sim.fuzzing.scenario import ScenarioError
 from sim.modes import find_mode, left_out
@@ -27,7 +16,7 @@ from sim.testbeds import TESTBEDS, require_testbed, which_testbed
 
 
 @click.command()
-@mode_option()
+@batch.mode_option()
 @click.option(
     "--scenario", metavar="FILE",
     help="Your own experiment: a scenario file (FILE#NAME if it holds several), or a "
@@ -38,8 +27,8 @@ from sim.testbeds import TESTBEDS, require_testbed, which_testbed
     help=f"Where: {', '.join(TESTBEDS)}. Alone, it records normal runs; with --scenario, it runs "
     "that scenario there.  [default: that of the mode or scenario]",
 )  # fmt: skip
-@allow_actuation_option
-@number_option
+@batch.allow_actuation_option
+@batch.number_option
 @click.option(
     "--first-block", default=0, show_default=True, type=click.IntRange(min=0),
     help="Block of the first run; run007 is of block 7.",
@@ -48,10 +37,10 @@ from sim.testbeds import TESTBEDS, require_testbed, which_testbed
     "--session", type=click.IntRange(min=0),
     help="Session of all runs.  [default: as --sessions says]",
 )  # fmt: skip
-@out_option
-@campaign_options
-@workers_option
-@refresh_option
+@batch.out_option
+@batch.campaign_options
+@batch.workers_option
+@batch.refresh_option
 def record(
     mode: str | None,
     scenario: str | None,
@@ -82,7 +71,7 @@ def record(
     experiment = _experiment(mode, scenario, testbed, allow_actuation=allow_actuation)
     blocks = range(first_block, first_block + number)
     jobs = [Job(experiment, out, block, block) for block in blocks]
-    make_runs(functools.partial(record_job, campaign(options), refresh), jobs, workers)
+    batch.make_runs(functools.partial(record_job, batch.campaign(options), refresh), jobs, workers)
 
 
 def _experiment(
@@ -90,7 +79,7 @@ def _experiment(
 ) -> Mode:
     if (mode is not None and scenario is not None) or not (mode or scenario or testbed):
         raise click.UsageError("Give either --mode or --scenario, or --testbed.")
-    with short_errors():
+    with batch.short_errors():
         name = mode or scenario or require_testbed(testbed or "").experiments[0]
     try:
         found = find_mode(name, allow_actuation=allow_actuation)
@@ -101,6 +90,6 @@ def _experiment(
         return found
     if scenario is None:
         raise click.UsageError(f"{name} is a mode of testbed {its}, not of {testbed}.")
-    with short_errors():
+    with batch.short_errors():
         require_testbed(testbed)
     return dataclasses.replace(found, scenario=found.scenario.on(testbed))

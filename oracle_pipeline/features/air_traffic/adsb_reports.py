@@ -14,53 +14,44 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.engine.common_fields import header_stamps_s
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Missing,
-    Request,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-)
 from oracle_pipeline.features.geometry.scans import Floats, Points
 from oracle_pipeline.features.geometry.wgs84 import Site, cartesian
 from oracle_pipeline.features.statistics.reduction import largest, mean, quantile, within
 
 _RADAR_FEATURES = (
-    Feature(
+    fp.Feature(
         "position_residual", "m", 20.0,
         "distance between ADS-B and secondary radar positions, median, maximum over the aircraft",
         "domain",
     ),
-    Feature(
+    fp.Feature(
         "altitude_residual", "m", 8.0,
         "absolute difference between ADS-B and secondary radar altitudes, median, maximum over the "
         "aircraft", "domain",
     ),
 )  # fmt: skip
 _REPORT_FEATURES = (
-    Feature(
+    fp.Feature(
         "velocity_residual", "m/s", 0.5,
         "difference between the reported ground velocity and that of the positions reported over "
         "5 s, median, maximum over the aircraft", "domain",
     ),
-    Feature(
+    fp.Feature(
         "report_interval", "s", 0.05, "mean time between reports, maximum over the aircraft",
         "domain", timing=True,
     ),
-    Feature(
+    fp.Feature(
         "report_gap", "s", 0.5, "longest time between two reports of an aircraft", "domain",
         timing=True,
     ),
-    Feature(
+    fp.Feature(
         "appearances", "1", 0.5,
         "aircraft that first report far inside the airspace, not at its border or take-off",
         "domain", extensive=True,
     ),
-    Feature(
+    fp.Feature(
         "disappearances", "1", 0.5,
         "aircraft that last report far inside the airspace, not at its border or landing",
         "domain", extensive=True,
@@ -108,8 +99,8 @@ class ReportedFlight:
 class _Reports:
     """How consistent the reports of a recording are with each other."""
 
-    velocity: dict[str, Series]  # residuals, by topic and aircraft [m/s]
-    intervals: dict[str, Series]  # between reports, by topic and aircraft [s]
+    velocity: dict[str, fp.Series]  # residuals, by topic and aircraft [m/s]
+    intervals: dict[str, fp.Series]  # between reports, by topic and aircraft [s]
     begun_s: dict[str, Floats]  # sudden appearances, by topic
     ended_s: dict[str, Floats]
 
@@ -129,7 +120,7 @@ class Replies:
         return np.sqrt(np.maximum(self.slant_m**2 - up_m**2, 0.0)) * self.azimuth
 
 
-def _prepare_radar(window: Window) -> dict[str, tuple[Series, Series]] | Missing:
+def _prepare_radar(window: fp.Window) -> dict[str, tuple[fp.Series, fp.Series]] | fp.Missing:
     """Return the residuals of distance and altitude of each reply, by topic and aircraft."""
     replies = _replies(window.topics["replies"])
     pairs = [
@@ -139,22 +130,22 @@ def _prepare_radar(window: Window) -> dict[str, tuple[Series, Series]] | Missing
         if address in replies
     ]
     if not pairs:
-        return Missing("no aircraft has both ADS-B reports and radar replies")
+        return fp.Missing("no aircraft has both ADS-B reports and radar replies")
     compared = [(where, *flight.at(reply.stamps_s), reply) for where, flight, reply in pairs]
     antenna = find_antenna([(position, reply) for _, position, _, reply in compared])
     residuals = {}
     for where, position, altitude_m, reply in compared:
         place, up_m = antenna.seen(position)
         residuals[where] = (
-            Series(reply.times_s, np.abs(place - reply.plots(up_m))),
-            Series(reply.times_s, np.abs(altitude_m - reply.altitude_m)),
+            fp.Series(reply.times_s, np.abs(place - reply.plots(up_m))),
+            fp.Series(reply.times_s, np.abs(altitude_m - reply.altitude_m)),
         )
     return residuals
 
 
-def _compute_radar(window: Window) -> Values:
+def _compute_radar(window: fp.Window) -> fp.Values:
     """Reduce to the window."""
-    residuals: dict[str, tuple[Series, Series]] = window.prepared
+    residuals: dict[str, tuple[fp.Series, fp.Series]] = window.prepared
     none = "no aircraft has both ADS-B reports and radar replies in this window"
     return {
         name: largest(
@@ -188,7 +179,7 @@ def find_antenna(replies: Sequence[tuple[Floats, Replies]]) -> Site:
     return antenna
 
 
-def _prepare_reports(window: Window) -> _Reports:
+def _prepare_reports(window: fp.Window) -> _Reports:
     """Return the consistency of each aircraft's reports with each other."""
     velocity, intervals, begun, ended = {}, {}, {}, {}
     for topic, series in window.topics["reports"].items():
@@ -196,12 +187,12 @@ def _prepare_reports(window: Window) -> _Reports:
         for address, flight in aircraft.items():
             where = f"{topic} {address}"
             velocity[where] = velocity_residual(flight)
-            intervals[where] = Series(flight.times_s[1:], np.diff(flight.stamps_s))
+            intervals[where] = fp.Series(flight.times_s[1:], np.diff(flight.stamps_s))
         begun[topic], ended[topic] = _sudden(list(aircraft.values()), series.times_s)
     return _Reports(velocity, intervals, begun, ended)
 
 
-def _compute_reports(window: Window) -> Values:
+def _compute_reports(window: fp.Window) -> fp.Values:
     """Reduce to the window."""
     reports: _Reports = window.prepared
     alone = "no aircraft has two ADS-B reports in this window"
@@ -225,13 +216,13 @@ def _compute_reports(window: Window) -> Values:
     }
 
 
-def velocity_residual(flight: ReportedFlight) -> Series:
+def velocity_residual(flight: ReportedFlight) -> fp.Series:
     """Return the difference of reported velocity and that of reported positions [m/s]."""
     earlier_s = flight.stamps_s - _LAG_S
     before, _ = flight.at(earlier_s)
     place, _ = Site(flight.latitude, flight.longitude).seen(before)
     reported = flight.velocity + np.interp(earlier_s, flight.stamps_s, flight.velocity)
-    return Series(flight.times_s, np.abs(-place / _LAG_S - reported / 2.0))
+    return fp.Series(flight.times_s, np.abs(-place / _LAG_S - reported / 2.0))
 
 
 def _sudden(aircraft: Sequence[ReportedFlight], times_s: Floats) -> tuple[Floats, Floats]:
@@ -263,7 +254,7 @@ def _sudden(aircraft: Sequence[ReportedFlight], times_s: Floats) -> tuple[Floats
     return np.sort(np.array(begun, dtype=float)), np.sort(np.array(ended, dtype=float))
 
 
-def flights(series: Series) -> dict[str, ReportedFlight]:
+def flights(series: fp.Series) -> dict[str, ReportedFlight]:
     """Group the reports of a topic by address, without invalid ones."""
     addresses, *columns = zip(*series.values, strict=True)
     table = np.array([series.times_s, *columns])
@@ -294,24 +285,26 @@ def keep_reply(message: Any) -> tuple[Any, ...]:
     )  # fmt: skip
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of aircraft's reports."""
-    reports = {"reports": Request(keep_report, msgtype="atc_msgs/msg/AdsbReport", dtype=object)}
-    replies = {"replies": Request(keep_reply, msgtype="atc_msgs/msg/SecondaryReply", dtype=object)}
+    reports = {"reports": fp.Request(keep_report, msgtype="atc_msgs/msg/AdsbReport", dtype=object)}
+    replies = {
+        "replies": fp.Request(keep_reply, msgtype="atc_msgs/msg/SecondaryReply", dtype=object)
+    }
     return [
-        FeaturePlugin(
+        fp.FeaturePlugin(
             "atc_radar", "atc", _RADAR_FEATURES, _compute_radar, reports | replies,
             prepare=_prepare_radar,
         ),
-        FeaturePlugin(
+        fp.FeaturePlugin(
             "atc_reports", "atc", _REPORT_FEATURES, _compute_reports, reports,
             prepare=_prepare_reports,
         ),
     ]  # fmt: skip
 
 
-def _replies(topics: Mapping[str, Series]) -> dict[str, Replies]:
+def _replies(topics: Mapping[str, fp.Series]) -> dict[str, Replies]:
     """Group the replies of all topics by address; of an address on two topics, the last counts."""
     by_address = {}
     for series in topics.values():

@@ -11,48 +11,39 @@ from typing import Any
 
 import numpy as np
 
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Missing,
-    Request,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.geometry.scans import Bools, Floats
 from oracle_pipeline.features.geometry.wgs84 import Site, cartesian
 from oracle_pipeline.features.statistics.reduction import largest, mean, quantile
 
 _TRACK_FEATURES = (
-    Feature("adsb_only", "1", 0.01, "share of the tracks without radar, mean", "domain"),
-    Feature("radar_only", "1", 0.01, "share of the tracks without ADS-B, mean", "domain"),
-    Feature("nameless", "1", 0.01, "share of the tracks without ICAO address, mean", "domain"),
-    Feature(
+    fp.Feature("adsb_only", "1", 0.01, "share of the tracks without radar, mean", "domain"),
+    fp.Feature("radar_only", "1", 0.01, "share of the tracks without ADS-B, mean", "domain"),
+    fp.Feature("nameless", "1", 0.01, "share of the tracks without ICAO address, mean", "domain"),
+    fp.Feature(
         "longest_adsb_only", "s", 5.0, "longest time that a track had ADS-B but no radar",
         "domain", per_window=False, extensive=True,
     ),
-    Feature(
+    fp.Feature(
         "longest_radar_only", "s", 5.0, "longest time that a track had no ADS-B",
         "domain", per_window=False, extensive=True,
     ),
-    Feature(
+    fp.Feature(
         "closest_pair", "m", 50.0, "distance of the two closest tracks, 5th percentile", "domain",
         behaviour=True,
     ),
-    Feature(
+    fp.Feature(
         "closest_pair_speed", "m/s", 2.0,
         "relative speed of the two closest tracks, median", "domain",
         behaviour=True,
     ),
 )  # fmt: skip
 _ADVISORY_FEATURES = (
-    Feature(
+    fp.Feature(
         "traffic_advisories", "1/min", 0.5, "traffic advisories to aircraft per minute", "domain",
         behaviour=True,
     ),
-    Feature(
+    fp.Feature(
         "resolution_advisories", "1/min", 0.5, "resolution advisories to aircraft per minute",
         "domain", behaviour=True,
     ),
@@ -69,10 +60,10 @@ _SHARES = ("adsb_only", "radar_only", "nameless")
 class _Picture:
     """Statistics of the messages of one topic, by time."""
 
-    shares: dict[str, Series]  # of the tracks of each message
+    shares: dict[str, fp.Series]  # of the tracks of each message
     longest_s: dict[str, float]
-    distance_m: Series  # of the closest pair
-    speed: Series  # of that pair relative to each other [m/s]
+    distance_m: fp.Series  # of the closest pair
+    speed: fp.Series  # of that pair relative to each other [m/s]
 
 
 def _keep_tracks(message: Any) -> Floats:
@@ -91,12 +82,12 @@ def _keep_tracks(message: Any) -> Floats:
     return np.array(rows, dtype=np.float64).reshape(-1, 8)
 
 
-def _prepare_tracks(window: Window) -> dict[str, _Picture]:
+def _prepare_tracks(window: fp.Window) -> dict[str, _Picture]:
     """Return statistics of the messages of each topic."""
     return {topic: _picture(series) for topic, series in window.topics["tracks"].items()}
 
 
-def _compute_tracks(window: Window) -> Values:
+def _compute_tracks(window: fp.Window) -> fp.Values:
     """Reduce to the window."""
     pictures: dict[str, _Picture] = window.prepared
     none, single = "no track in this window", "fewer than two tracks in this window"
@@ -110,8 +101,8 @@ def _compute_tracks(window: Window) -> Values:
     distance = min(quantile(p.distance_m, window, 0.05) for p in pictures.values())
     speed = min(quantile(p.speed, window, 0.5) for p in pictures.values())
     return values | {
-        "closest_pair": Missing(single) if math.isnan(distance) else distance,
-        "closest_pair_speed": Missing(single) if math.isnan(speed) else speed,
+        "closest_pair": fp.Missing(single) if math.isnan(distance) else distance,
+        "closest_pair_speed": fp.Missing(single) if math.isnan(speed) else speed,
     }
 
 
@@ -155,10 +146,10 @@ def _keep_advisory(message: Any) -> tuple[float, float]:
     return float(message.level == _TRAFFIC), float(message.level == _RESOLUTION)
 
 
-def _compute_advisories(window: Window) -> Values | Missing:
+def _compute_advisories(window: fp.Window) -> fp.Values | fp.Missing:
     """Count over the window; a silent topic counts as none."""
     if not window.history["advisories"]:
-        return Missing("no advisory topic is recorded")
+        return fp.Missing("no advisory topic is recorded")
     counts = np.zeros(2)
     for series in window.topics["advisories"].values():
         counts += series.values.sum(axis=0)
@@ -166,24 +157,24 @@ def _compute_advisories(window: Window) -> Values | Missing:
     return {"traffic_advisories": traffic, "resolution_advisories": resolution}
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of tracks and advisories."""
-    tracks = {"tracks": Request(_keep_tracks, msgtype="atc_msgs/msg/TrackArray", dtype=object)}
+    tracks = {"tracks": fp.Request(_keep_tracks, msgtype="atc_msgs/msg/TrackArray", dtype=object)}
     advisories = {
-        "advisories": Request(_keep_advisory, msgtype="atc_msgs/msg/Advisory", optional=True)
+        "advisories": fp.Request(_keep_advisory, msgtype="atc_msgs/msg/Advisory", optional=True)
     }
     return [
-        FeaturePlugin(
+        fp.FeaturePlugin(
             "atc_tracks", "atc", _TRACK_FEATURES, _compute_tracks, tracks, prepare=_prepare_tracks
         ),
-        FeaturePlugin(
+        fp.FeaturePlugin(
             "atc_advisories", "atc", _ADVISORY_FEATURES, _compute_advisories, advisories
         ),
     ]  # fmt: skip
 
 
-def _picture(series: Series) -> _Picture:
+def _picture(series: fp.Series) -> _Picture:
     messages = list(series.values)
     identifiers = [tracks[:, 0] for tracks in messages]
     sources = [tracks[:, 2].astype(np.int64) for tracks in messages]
@@ -194,10 +185,10 @@ def _picture(series: Series) -> _Picture:
     }
     distance_m, speed = np.array([closest(tracks) for tracks in messages]).T
     return _Picture(
-        {name: Series(series.times_s, _means(flags[name])) for name in _SHARES},
+        {name: fp.Series(series.times_s, _means(flags[name])) for name in _SHARES},
         {name: longest_s(series.times_s, identifiers, flags[name]) for name in flags},
-        Series(series.times_s, distance_m),
-        Series(series.times_s, speed),
+        fp.Series(series.times_s, distance_m),
+        fp.Series(series.times_s, speed),
     )
 
 

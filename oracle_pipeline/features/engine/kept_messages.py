@@ -13,19 +13,13 @@ import numpy as np
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.merging import Messages
 from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.engine.kept_rows import Carried, KeptRows
 from oracle_pipeline.features.engine.kept_topic import KeptTopic
 from oracle_pipeline.features.engine.memory import MemoryBudget
 from oracle_pipeline.features.engine.message_index import MessageIndex
 from oracle_pipeline.features.engine.message_layout import MessageLayout
 from oracle_pipeline.features.engine.message_pass import MessagePass
-from oracle_pipeline.features.engine.plugin import (
-    FeaturePlugin,
-    Missing,
-    Series,
-    TopicArrivals,
-    Window,
-)
 from oracle_pipeline.features.engine.spans import Integers, Span
 from oracle_pipeline.features.engine.timeline import Timeline
 from oracle_pipeline.graphs.intervals import Interval
@@ -43,7 +37,7 @@ class Graphs(NamedTuple):
 NO_GRAPH = Graphs(None, None, ())
 
 
-def decoded_topics(bag: BagReader, plugins: Iterable[FeaturePlugin]) -> frozenset[str]:
+def decoded_topics(bag: BagReader, plugins: Iterable[fp.FeaturePlugin]) -> frozenset[str]:
     """Return the topics of a bag whose decoded messages are requested by any plugin."""
     requests = [r for plugin in plugins for r in plugin.topics.values() if not r.raw]
     return frozenset(
@@ -70,7 +64,7 @@ class KeptMessages:
     clock: Timeline
     notes: list[str]
 
-    def __init__(self, robot: Robot, plugins: tuple[FeaturePlugin, ...]) -> None:
+    def __init__(self, robot: Robot, plugins: tuple[fp.FeaturePlugin, ...]) -> None:
         bag, self._roles, self._used = robot.bag, robot.roles, sorted(robot.used)
         self.shared: dict[Any, Any] = {}
         self._budget = MemoryBudget()
@@ -91,7 +85,7 @@ class KeptMessages:
     def read(
         cls,
         robot: Robot,
-        plugins: tuple[FeaturePlugin, ...],
+        plugins: tuple[fp.FeaturePlugin, ...],
         carried: Carried | None = None,
         see: Callable[[Messages], None] | None = None,
     ) -> Self:
@@ -140,30 +134,30 @@ class KeptMessages:
         """Return the sorted times of all messages since the start [ns]."""
         return np.sort(self._times_ns)
 
-    def span(self, span: Span, graphs: Graphs) -> Window:
+    def span(self, span: Span, graphs: Graphs) -> fp.Window:
         """Return the part of a span's window that is the same for every plugin."""
         arrivals = {name: self._within(name, span) for name in self._used}
-        return Window(
+        return fp.Window(
             span.start_s, span.end_s, *graphs, arrivals, roles=self._roles, shared=self.shared
         )
 
     def window(
-        self, plugin: FeaturePlugin, span: Span, common: Window, prepared: Any = None
-    ) -> Window | Missing:
+        self, plugin: fp.FeaturePlugin, span: Span, common: fp.Window, prepared: Any = None
+    ) -> fp.Window | fp.Missing:
         """Return the window of a span for one plugin, or the reason why it has none."""
         requests = self._kept[plugin.name]
         if plugin.needs_graph and common.graph is None:
-            return Missing("no ROS graph was recorded before the end of the window")
+            return fp.Missing("no ROS graph was recorded before the end of the window")
         for key, request in plugin.topics.items():
             for name, kept in requests[key].items():
                 if kept.error:
-                    return Missing(f"{name} cannot be used: {kept.error}")
+                    return fp.Missing(f"{name} cannot be used: {kept.error}")
             if not request.optional and not requests[key]:
-                return Missing(f"no topic {request} is recorded")
+                return fp.Missing(f"no topic {request} is recorded")
         topics = _Slices(requests, span, silent=False)
         for key, request in plugin.topics.items():
             if not request.optional and not topics[key]:
-                return Missing(f"no message on {', '.join(requests[key])} in this window")
+                return fp.Missing(f"no message on {', '.join(requests[key])} in this window")
         history = _Slices(requests, Span(0, span.end_ns), silent=True)
         return replace(common, topics=topics, history=history, prepared=prepared)
 
@@ -171,7 +165,7 @@ class KeptMessages:
         """Convert what was kept to arrays by time; note what was not used."""
         self.clock, self.notes = index.clock, index.notes
         self._times_ns = index.times_ns
-        self._arrivals: dict[str, tuple[Integers, TopicArrivals]] = {}
+        self._arrivals: dict[str, tuple[Integers, fp.TopicArrivals]] = {}
         undecodable: dict[str, dict[str, int]] = {}  # by reason: topics, and their messages
         for number, topic in enumerate(self._topics.values()):
             times_ns, arrivals = index.arrivals(number, topic.msgtype)
@@ -191,14 +185,14 @@ class KeptMessages:
                 f"messages): {reason}"
             )
 
-    def _within(self, topic: str, span: Span) -> TopicArrivals:
+    def _within(self, topic: str, span: Span) -> fp.TopicArrivals:
         times_ns, arrivals = self._arrivals[topic]
         part = span.slice_of(times_ns)
         msgtype, times_s, sizes, stamps_ns = arrivals
-        return TopicArrivals(msgtype, times_s[part], sizes[part], stamps_ns[part])
+        return fp.TopicArrivals(msgtype, times_s[part], sizes[part], stamps_ns[part])
 
 
-class _Slices(Mapping[str, Mapping[str, Series]]):
+class _Slices(Mapping[str, Mapping[str, fp.Series]]):
     """What was kept within a span, by key of the request; cut on access, as few plugins use it."""
 
     def __init__(
@@ -208,7 +202,7 @@ class _Slices(Mapping[str, Mapping[str, Series]]):
         self._span = span
         self._silent = silent  # topics without a row are there, too
 
-    def __getitem__(self, key: str) -> Mapping[str, Series]:
+    def __getitem__(self, key: str) -> Mapping[str, fp.Series]:
         series = {name: kept.within(self._span) for name, kept in self._requests[key].items()}
         if self._silent:
             return series

@@ -3,7 +3,7 @@
 A plugin registers through pluggy: a hook returns its description, the manager does the rest. The
 bag is read once for all plugins, so a plugin declares what to keep of each message, and its
 function gets that as arrays for one window. The thesis's own contract is in
-``oracle_pipeline.features.adapters.thesis``.
+``oracle_pipeline.features.adapters.thesis``. Our own plugins import this module as ``fp``.
 """
 
 from collections.abc import Callable, Mapping

@@ -11,15 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Missing,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.geometry.scan_projection import project
 from oracle_pipeline.features.geometry.scanner_setup import (
     SETUP_TOPICS,
@@ -32,7 +24,7 @@ from oracle_pipeline.features.lidar.map_consistency import MapGrid
 from oracle_pipeline.features.statistics.reduction import largest, mean
 
 FEATURES = (
-    Feature(
+    fp.Feature(
         "unmarked", "1", 0.02,
         "share of a scan's returns inside the local costmap with no lethal cell at or next to "
         "them, mean, maximum over the scanners", "navigation",
@@ -42,18 +34,18 @@ FEATURES = (
 _FEWEST = 5  # returns inside the costmap; with fewer, the share is NaN
 
 
-def prepare(window: Window) -> dict[str, Series] | Missing:
+def prepare(window: fp.Window) -> dict[str, fp.Series] | fp.Missing:
     """Project the returns of every scanner into the costmaps, over the whole recording."""
     ((times_s, grids),) = window.topics["grids"].values()
     setup = scanner_setup(window)
     if setup.motion is None:
-        return Missing("no odometry")
+        return fp.Missing("no odometry")
     return {topic: _unmarked(setup, topic, times_s, grids) for topic in setup.mounts}
 
 
 def _unmarked(
     setup: ScannerSetup, topic: str, times_s: Floats, grids: NDArray[np.object_]
-) -> Series:
+) -> fp.Series:
     scans = setup.scanners[topic]
     rows = np.searchsorted(scans.times_s, times_s, side="right") - 1
     seen = np.flatnonzero(rows >= 0)
@@ -66,7 +58,7 @@ def _unmarked(
         return (np.array([unmarked(*each) for each in both], dtype=np.float64),)
 
     (shares,) = in_blocks(len(rows), scans.rays, compared)
-    return Series(times_s[seen], shares)
+    return fp.Series(times_s[seen], shares)
 
 
 def unmarked(grid: MapGrid, returns: Points) -> float:
@@ -104,17 +96,19 @@ def _unmarked_share(places: Points, cells: NDArray[np.int8]) -> float:
     return 1.0 - marked / inside if inside >= _FEWEST else math.nan
 
 
-def compute(window: Window) -> Values:
+def compute(window: fp.Window) -> fp.Values:
     """Reduce to the window."""
-    shares: dict[str, Series] = window.prepared
+    shares: dict[str, fp.Series] = window.prepared
     means = {topic: mean(series, window) for topic, series in shares.items()}
     return {"unmarked": largest(means, "no horizontal laser scanner has returns in the costmap")}
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of scans and costmap."""
     topics = SETUP_TOPICS | {"grids": GRIDS}
     return [
-        FeaturePlugin("costmap_consistency", "costmap", FEATURES, compute, topics, prepare=prepare)
+        fp.FeaturePlugin(
+            "costmap_consistency", "costmap", FEATURES, compute, topics, prepare=prepare
+        )
     ]

@@ -11,15 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Missing,
-    Request,
-    Values,
-    Window,
-    hookimpl,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.statistics.reduction import quantile_of
 from oracle_pipeline.robots.roles import SCAN
 
@@ -28,11 +20,11 @@ _VARIANCE = "variance of the valid ranges in a scan, median over the scans, "
 _NON_FINITE = "share of the ranges in a scan that are inf or NaN, median over the scans, "
 
 FEATURES = (
-    Feature("range_variance_mean", "m^2", 1e-3, f"{_VARIANCE}mean over the scanners", "domain"),
-    Feature("range_variance_max", "m^2", 1e-3, f"{_VARIANCE}maximum over the scanners", "domain"),
-    Feature("non_finite_mean", "1", 1e-3, f"{_NON_FINITE}mean over the scanners", "domain"),
-    Feature("non_finite_max", "1", 1e-3, f"{_NON_FINITE}maximum over the scanners", "domain"),
-    Feature(
+    fp.Feature("range_variance_mean", "m^2", 1e-3, f"{_VARIANCE}mean over scanners", "domain"),
+    fp.Feature("range_variance_max", "m^2", 1e-3, f"{_VARIANCE}maximum over scanners", "domain"),
+    fp.Feature("non_finite_mean", "1", 1e-3, f"{_NON_FINITE}mean over scanners", "domain"),
+    fp.Feature("non_finite_max", "1", 1e-3, f"{_NON_FINITE}maximum over scanners", "domain"),
+    fp.Feature(
         "clearance", "m", 0.02,
         "range of the nearest return in a scan, 5th percentile over the scans, maximum over the "
         "scanners", "domain", behaviour=True,
@@ -62,10 +54,10 @@ def keep(messages: Any) -> NDArray[np.float64]:
     return kept
 
 
-def compute(window: Window) -> Values | Missing:
+def compute(window: fp.Window) -> fp.Values | fp.Missing:
     """Compute over all scan topics."""
-    values: dict[str, float | Missing] = {}
-    empty = Missing("no scan has a valid range")
+    values: dict[str, float | fp.Missing] = {}
+    empty = fp.Missing("no scan has a valid range")
     for column, name in enumerate(("range_variance", "non_finite")):
         scanners = _of_scanners(window, column, 50.0)
         values[f"{name}_mean"] = float(np.mean(scanners)) if scanners else empty
@@ -75,7 +67,7 @@ def compute(window: Window) -> Values | Missing:
     return values
 
 
-def _of_scanners(window: Window, column: int, percentile: float) -> list[float]:
+def _of_scanners(window: fp.Window, column: int, percentile: float) -> list[float]:
     """Return a percentile over the scans of each scanner that has a value."""
     return [
         quantile_of(kept, percentile / 100.0)
@@ -84,8 +76,8 @@ def _of_scanners(window: Window, column: int, percentile: float) -> list[float]:
     ]
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of laser scans."""
-    topics = {"scans": Request(keep, role=SCAN, many=True)}
-    return [FeaturePlugin("laser", "contextual", FEATURES, compute, topics)]
+    topics = {"scans": fp.Request(keep, role=SCAN, many=True)}
+    return [fp.FeaturePlugin("laser", "contextual", FEATURES, compute, topics)]

@@ -7,34 +7,24 @@ from itertools import pairwise
 
 import numpy as np
 
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Missing,
-    Request,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-    timed,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.lidar.map_consistency import MapGrid, keep_grids
 from oracle_pipeline.features.statistics.reduction import within
 from oracle_pipeline.robots.roles import LOCAL_COSTMAP
 
-FEATURES = timed(
-    Feature(
+FEATURES = fp.timed(
+    fp.Feature(
         "lethal_appearing", "1/s", 1.0,
         "cells of the local costmap that become lethal per second, mean", "navigation",
     ),
-    Feature(
+    fp.Feature(
         "lethal_vanishing", "1/s", 1.0, "cells that cease to be lethal per second, mean",
         "navigation",
     ),
 )  # fmt: skip
 
 LETHAL = 100  # value of a cell
-GRIDS = Request(keep_grids, role=LOCAL_COSTMAP, dtype=object, many=True)
+GRIDS = fp.Request(keep_grids, role=LOCAL_COSTMAP, dtype=object, many=True)
 
 
 def changes(before: MapGrid, now: MapGrid) -> tuple[int, int]:
@@ -49,29 +39,29 @@ def changes(before: MapGrid, now: MapGrid) -> tuple[int, int]:
     return int((became & ~was).sum()), int((was & ~became).sum())
 
 
-def prepare(window: Window) -> Series | Missing:
+def prepare(window: fp.Window) -> fp.Series | fp.Missing:
     """Return cells that become lethal, that cease to be, and seconds, between two grids; (n, 3)."""
     ((times_s, grids),) = window.topics["grids"].values()
     if len(times_s) < 2:
-        return Missing("fewer than two costmaps")
+        return fp.Missing("fewer than two costmaps")
     counts = np.array([changes(*pair) for pair in pairwise(grids)])
-    return Series(times_s[1:], np.column_stack([counts, np.diff(times_s)]))
+    return fp.Series(times_s[1:], np.column_stack([counts, np.diff(times_s)]))
 
 
-def compute(window: Window) -> Values | Missing:
+def compute(window: fp.Window) -> fp.Values | fp.Missing:
     """Reduce to the window: a latched grid may be followed by the next one at once."""
-    steps: Series = window.prepared
+    steps: fp.Series = window.prepared
     appearing, vanishing, passed_s = steps.values[within(steps.times_s, window)].sum(axis=0)
     if not passed_s > 0.0:
-        return Missing("no two costmaps in this window")
+        return fp.Missing("no two costmaps in this window")
     return {"lethal_appearing": appearing / passed_s, "lethal_vanishing": vanishing / passed_s}
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of the local costmap."""
     return [
-        FeaturePlugin(
+        fp.FeaturePlugin(
             "local_costmap", "navigation", FEATURES, compute, {"grids": GRIDS}, prepare=prepare
         )
     ]

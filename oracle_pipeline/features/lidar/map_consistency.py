@@ -13,18 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.engine.common_fields import header_stamps_s, poses_of
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Missing,
-    Request,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-    sole_series,
-)
 from oracle_pipeline.features.geometry.grid_hits import CELL_M, MOST_HITS, HitCounter, Hits
 from oracle_pipeline.features.geometry.odometry_path import OdometryPath
 from oracle_pipeline.features.geometry.planar_pose import PlanarPose, PosePath
@@ -44,22 +34,22 @@ from oracle_pipeline.features.statistics.reduction import largest, quantile, row
 from oracle_pipeline.robots.roles import MAP, POSE
 
 FEATURES = (
-    Feature(
+    fp.Feature(
         "residual", "m", 5e-3,
         "distance from a return to the nearest obstacle of the map at its bearing, median, maximum "
         "over the scanners", "navigation",
     ),
-    Feature(
+    fp.Feature(
         "unexpected", "1", 5e-3,
         f"share of a scan's returns {CLOSER_M} m or more in front of the map's obstacles, 95th "
         "percentile, maximum over the scanners", "navigation",
     ),
-    Feature(
+    fp.Feature(
         "unexpected_persistence", "1", 0.01,
         f"share of the scans with returns as in unexpected in the same {CELL_M} m grid cell, "
         "maximum over the cells and scanners", "navigation",
     ),
-    Feature(
+    fp.Feature(
         "looked_through", "1", 5e-3,
         f"share of the map's visible obstacles for which a scan measures {CLOSER_M} m or more "
         "behind them, 95th percentile, maximum over the scanners", "navigation",
@@ -156,26 +146,26 @@ class MapGrid(NamedTuple):
 class _Consistency:
     """Comparison of each used scan of a scanner with the map."""
 
-    residual: Series  # [m]
-    unexpected: Series
-    looked_through: Series
-    hits: Hits | Missing
+    residual: fp.Series  # [m]
+    unexpected: fp.Series
+    looked_through: fp.Series
+    hits: Hits | fp.Missing
 
 
-def prepare(window: Window) -> dict[str, _Consistency] | Missing:
+def prepare(window: fp.Window) -> dict[str, _Consistency] | fp.Missing:
     """Compare every scanner with the map, over the whole recording."""
-    grids, poses = sole_series(window.topics["map"]), sole_series(window.topics["poses"])
+    grids, poses = fp.sole_series(window.topics["map"]), fp.sole_series(window.topics["poses"])
     setup = scanner_setup(window)
     if grids is None or poses is None:
-        return Missing("no map" if grids is None else "no pose of localisation")
+        return fp.Missing("no map" if grids is None else "no pose of localisation")
     if setup.motion is None:
-        return Missing("no odometry")
+        return fp.Missing("no odometry")
     world = Map.of(grids.values[-1])
     correction = _correction(poses, setup.motion)
     return {topic: _compared_with_map(world, correction, setup, topic) for topic in setup.mounts}
 
 
-def compute(window: Window) -> Values:
+def compute(window: fp.Window) -> fp.Values:
     """Reduce to the window."""
     residual, unexpected, persistence, through = {}, {}, {}, {}
     consistency: dict[str, _Consistency] = window.prepared
@@ -209,7 +199,7 @@ def keep_grids(messages: Any) -> list[MapGrid]:
     return grids
 
 
-def _correction(poses: Series, motion: OdometryPath) -> PosePath:
+def _correction(poses: fp.Series, motion: OdometryPath) -> PosePath:
     """Return the pose of the odometry frame in the map from localisation."""
     stamps_s, *believed = np.array(sorted(poses.values.tolist())).T
     pose = PlanarPose.of(*believed).compose(motion.base(stamps_s).inverse())
@@ -221,14 +211,16 @@ def _keep_believed(messages: Any) -> tuple[Floats, Floats, Floats, Floats]:
     return header_stamps_s(messages), *poses_of(messages.pose.pose)
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of scans and map."""
     topics = SETUP_TOPICS | {
-        "map": Request(keep_grids, role=MAP, dtype=object, optional=True, many=True, carried=True),
-        "poses": Request(_keep_believed, role=POSE, optional=True, many=True, carried=True),
+        "map": fp.Request(
+            keep_grids, role=MAP, dtype=object, optional=True, many=True, carried=True
+        ),
+        "poses": fp.Request(_keep_believed, role=POSE, optional=True, many=True, carried=True),
     }
-    return [FeaturePlugin("map_consistency", "map", FEATURES, compute, topics, prepare=prepare)]
+    return [fp.FeaturePlugin("map_consistency", "map", FEATURES, compute, topics, prepare=prepare)]
 
 
 def _compared_with_map(
@@ -257,9 +249,9 @@ def _compared_with_map(
 
     residual, unexpected, through = in_blocks(len(rows), scans.rays, compared)
     return _Consistency(
-        Series(times_s, residual),
-        Series(times_s, unexpected),
-        Series(times_s, through),
+        fp.Series(times_s, residual),
+        fp.Series(times_s, unexpected),
+        fp.Series(times_s, through),
         counter.hits(),
     )
 

@@ -14,15 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Missing,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.geometry.planar_pose import PlanarPose
 from oracle_pipeline.features.geometry.scan_agreement import CLOSER_M, contradicted_shares
 from oracle_pipeline.features.geometry.scan_projection import project
@@ -58,27 +50,27 @@ _FAR_M = 0.6  # largest motion of the same object between two scans
 
 _SCANS = "maximum over the scanners"
 FEATURES = (
-    Feature(
+    fp.Feature(
         "appeared", "1", 2e-3,
         f"share of a scan's returns for which the scan {_EARLIER_S:g} s earlier measures "
         f"{CLOSER_M} m or more behind them, 95th percentile, {_SCANS}", "domain",
     ),
-    Feature(
+    fp.Feature(
         "vanished", "1", 2e-3,
         f"share of the returns {_EARLIER_S:g} s earlier for which a scan measures {CLOSER_M} m or "
         f"more behind them, 95th percentile, {_SCANS}", "domain",
     ),
-    Feature(
+    fp.Feature(
         "changed_peak", "1", 5e-3,
         f"share that appeared or vanished, largest held over three consecutive scans, {_SCANS}",
         "domain",
     ),
-    Feature(
+    fp.Feature(
         "loose", "m", 0.01,
         "apparent displacement of the fastest compact object between two scans after motion "
         f"compensation, 90th percentile, {_SCANS}", "domain",
     ),
-    Feature(
+    fp.Feature(
         "driven_across", "1", 0.01,
         f"share of the scans with returns where the robot drives later, {_SCANS}", "domain",
         per_window=False,
@@ -90,24 +82,24 @@ FEATURES = (
 class Seen:
     """Changes in each scan of a scanner since an earlier one."""
 
-    appeared: Series
-    vanished: Series
-    loose: Series  # [m]
-    across: Series  # 1 or 0, of every scan
+    appeared: fp.Series
+    vanished: fp.Series
+    loose: fp.Series  # [m]
+    across: fp.Series  # 1 or 0, of every scan
 
 
-def prepare(window: Window) -> dict[str, Seen] | Missing:
+def prepare(window: fp.Window) -> dict[str, Seen] | fp.Missing:
     """Compare each scan with an earlier one of the same scanner, over the whole recording."""
     setup = scanner_setup(window)
     if setup.motion is None:
-        return Missing("no odometry")
+        return fp.Missing("no odometry")
     path = _Path.of(setup)
-    return {topic: _seen(setup, topic, path) for topic in setup.mounts} or Missing(
+    return {topic: _seen(setup, topic, path) for topic in setup.mounts} or fp.Missing(
         "no horizontal laser scanner"
     )
 
 
-def compute(window: Window) -> Values:
+def compute(window: fp.Window) -> fp.Values:
     """Reduce to the window."""
     seen: dict[str, Seen] = window.prepared
     alone = f"no two scans {_EARLIER_S:g} s apart"
@@ -129,11 +121,13 @@ def compute(window: Window) -> Values:
     }
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of the permanence of objects."""
     return [
-        FeaturePlugin("permanence", "permanence", FEATURES, compute, SETUP_TOPICS, prepare=prepare)
+        fp.FeaturePlugin(
+            "permanence", "permanence", FEATURES, compute, SETUP_TOPICS, prepare=prepare
+        )
     ]
 
 
@@ -154,19 +148,19 @@ def _seen(setup: ScannerSetup, topic: str, path: "_Path") -> Seen:
     appeared, vanished = in_blocks(len(now), scans.rays, compared)
     loose, across = _in_world(scans, placed, path)
     return Seen(
-        Series(scans.times_s[now], appeared),
-        Series(scans.times_s[now], vanished),
+        fp.Series(scans.times_s[now], appeared),
+        fp.Series(scans.times_s[now], vanished),
         loose,
-        Series(scans.times_s, across),
+        fp.Series(scans.times_s, across),
     )
 
 
-def _peak(seen: Seen, window: Window) -> float:
+def _peak(seen: Seen, window: fp.Window) -> float:
     changed = np.fmax(seen.appeared.values, seen.vanished.values)
     if len(changed) < 3:
         return math.nan
     kept_up = np.min([changed[:-2], changed[1:-1], changed[2:]], axis=0)
-    return quantile(Series(seen.appeared.times_s[1:-1], kept_up), window, 1.0)
+    return quantile(fp.Series(seen.appeared.times_s[1:-1], kept_up), window, 1.0)
 
 
 def _apart(stamps_s: Floats, earlier_s: float) -> tuple[Ints, Ints]:
@@ -220,7 +214,7 @@ def _cells(from_corner: Points) -> Ints:
     return np.where(inside, columns << 31 | rows, -1)
 
 
-def _in_world(scans: RecordedScans, placed: PlanarPose, path: _Path) -> tuple[Series, Floats]:
+def _in_world(scans: RecordedScans, placed: PlanarPose, path: _Path) -> tuple[fp.Series, Floats]:
     """Return the distance that the fastest compact object moved between scans [m].
 
     Also return, for all scans, whether the robot drives across a return later, 1 or 0.
@@ -237,7 +231,7 @@ def _in_world(scans: RecordedScans, placed: PlanarPose, path: _Path) -> tuple[Se
     now, before = _apart(scans.stamps_s, _NEXT_S)
     ends = np.cumsum(counts)
     gone = _fastest(centres, ends - counts, ends, now, before)
-    return Series(scans.times_s[now], gone), across.astype(np.float64)
+    return fp.Series(scans.times_s[now], gone), across.astype(np.float64)
 
 
 @jit

@@ -13,17 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.engine.common_fields import frame_names, header_stamps_s
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Missing,
-    Request,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-)
 from oracle_pipeline.features.geometry.grid_hits import CELL_M, MOST_HITS, HitCounter, Hits
 from oracle_pipeline.features.geometry.scan_agreement import CLOSER_M, agreement
 from oracle_pipeline.features.geometry.scan_projection import project
@@ -44,29 +35,29 @@ from oracle_pipeline.features.statistics.reduction import (
 from oracle_pipeline.features.statistics.times import nearest
 
 _SCANNER_FEATURES = (
-    Feature(
+    fp.Feature(
         "scan_residual", "m", 1e-3,
         "distance from a return to the nearest return of another scanner, median, maximum over the "
         "pairs of scanners", "domain",
     ),
-    Feature(
+    fp.Feature(
         "scan_contradicted", "1", 2e-3,
         f"share of a scan's returns for which another scanner measures {CLOSER_M} m or more behind "
         "them, 95th percentile, maximum over the pairs of scanners", "domain",
     ),
-    Feature(
+    fp.Feature(
         "scan_persistence", "1", 0.01,
         f"share of the scans with returns as in scan_contradicted in the same {CELL_M} m grid "
         "cell, maximum over the cells and the pairs of scanners", "domain",
     ),
 )  # fmt: skip
 _RANGE_FEATURES = (
-    Feature(
+    fp.Feature(
         "range_residual", "m", 5e-3,
         "absolute difference between a Range sensor and the nearest return of a laser scanner in "
         "its field of view, median, maximum over the pairs", "domain",
     ),
-    Feature(
+    fp.Feature(
         "range_contradicted", "1", 5e-3,
         f"share of the Range messages whose range_residual is above {CLOSER_M} m, maximum over "
         "the pairs",
@@ -81,16 +72,16 @@ _SIMULTANEOUS_S = 0.15  # most between compared measurements
 class _Comparison:
     """Comparison of a scanner with another, by the times of the first one's scans."""
 
-    residual: Series  # median of each scan [m]
-    contradicted: Series  # share of each scan
-    hits: Hits | Missing  # cells of the odometry frame with contradicted returns
+    residual: fp.Series  # median of each scan [m]
+    contradicted: fp.Series  # share of each scan
+    hits: Hits | fp.Missing  # cells of the odometry frame with contradicted returns
 
 
-def _prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
+def _prepare_scanners(window: fp.Window) -> dict[str, _Comparison] | fp.Missing:
     """Compare every scanner with every other, over the whole recording."""
     setup = scanner_setup(window)
     if len(setup.scanners) < 2:
-        return Missing("fewer than two laser scanners are recorded")
+        return fp.Missing("fewer than two laser scanners are recorded")
     pairs = [
         (suspect, other)
         for suspect, other in permutations(setup.mounts, 2)
@@ -99,10 +90,10 @@ def _prepare_scanners(window: Window) -> dict[str, _Comparison] | Missing:
     return {
         f"{suspect} against {other}": _compared_with(setup, suspect, other, MOST_HITS // len(pairs))
         for suspect, other in pairs
-    } or Missing("/tf_static connects no two horizontal laser scanners")
+    } or fp.Missing("/tf_static connects no two horizontal laser scanners")
 
 
-def _compute_scanners(window: Window) -> Values:
+def _compute_scanners(window: fp.Window) -> fp.Values:
     """Reduce the comparisons to the window."""
     comparisons: dict[str, _Comparison] = window.prepared
     apart = "no two scanners measured the same area at the same time"
@@ -111,7 +102,7 @@ def _compute_scanners(window: Window) -> Values:
     for pair, comparison in comparisons.items():
         residual[pair] = quantile(comparison.residual, window, 0.5)
         contradicted[pair] = quantile(comparison.contradicted, window, 0.95)
-        if isinstance(comparison.hits, Missing):
+        if isinstance(comparison.hits, fp.Missing):
             reason = comparison.hits.reason
         else:
             scans = within(comparison.residual.times_s, window)
@@ -123,7 +114,7 @@ def _compute_scanners(window: Window) -> Values:
     }
 
 
-def _prepare_ranges(window: Window) -> dict[str, Series] | Missing:
+def _prepare_ranges(window: fp.Window) -> dict[str, fp.Series] | fp.Missing:
     """Return each range minus the nearest return in its cone [m], by pair of topics."""
     setup = scanner_setup(window)
     ranges = window.topics["ranges"]
@@ -132,18 +123,18 @@ def _prepare_ranges(window: Window) -> dict[str, Series] | Missing:
         f"{topic} against {scanner}": _beyond(setup, ranges[topic], mount, scanner)
         for (topic, mount), scanner in product(mounts.items(), setup.mounts)
         if mount.pose is not None and mount.root == setup.mounts[scanner].root
-    } or Missing("/tf_static connects no horizontal range sensor and laser scanner")
+    } or fp.Missing("/tf_static connects no horizontal range sensor and laser scanner")
 
 
-def _compute_ranges(window: Window) -> Values:
+def _compute_ranges(window: fp.Window) -> fp.Values:
     """Reduce the differences to the window."""
-    differences: dict[str, Series] = window.prepared
+    differences: dict[str, fp.Series] = window.prepared
     residual, contradicted = {}, {}
     for pair, (times_s, beyond_m) in differences.items():
         size = np.abs(beyond_m)
         beyond = np.where(np.isnan(size), np.nan, size > CLOSER_M)
-        residual[pair] = quantile(Series(times_s, size), window, 0.5)
-        contradicted[pair] = mean(Series(times_s, beyond), window)
+        residual[pair] = quantile(fp.Series(times_s, size), window, 0.5)
+        contradicted[pair] = mean(fp.Series(times_s, beyond), window)
     silent = "no laser scan covers the field of view of a range sensor at the same time"
     return {
         "range_residual": largest(residual, silent),
@@ -159,18 +150,18 @@ def _keep_ranges(messages: Any) -> tuple[Any, ...]:
     )  # fmt: skip
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of redundant sensors."""
     ranges = {
-        "ranges": Request(_keep_ranges, msgtype="sensor_msgs/msg/Range", dtype=object, many=True)
+        "ranges": fp.Request(_keep_ranges, msgtype="sensor_msgs/msg/Range", dtype=object, many=True)
     }
     return [
-        FeaturePlugin(
+        fp.FeaturePlugin(
             "redundant_scanners", "redundancy", _SCANNER_FEATURES, _compute_scanners, SETUP_TOPICS,
             prepare=_prepare_scanners,
         ),
-        FeaturePlugin(
+        fp.FeaturePlugin(
             "redundant_ranges", "redundancy", _RANGE_FEATURES, _compute_ranges,
             SETUP_TOPICS | ranges, prepare=_prepare_ranges,
         ),
@@ -196,13 +187,13 @@ def _compared_with(setup: ScannerSetup, suspect: str, other: str, most_hits: int
     residual, contradicted = in_blocks(len(rows), scans.rays, compared)
     times_s = scans.times_s[rows]
     return _Comparison(
-        Series(times_s, residual),
-        Series(times_s, contradicted),
-        Missing("no odometry") if setup.motion is None else counter.hits(),
+        fp.Series(times_s, residual),
+        fp.Series(times_s, contradicted),
+        fp.Missing("no odometry") if setup.motion is None else counter.hits(),
     )
 
 
-def _beyond(setup: ScannerSetup, ranges: Series, mount: SensorMount, scanner: str) -> Series:
+def _beyond(setup: ScannerSetup, ranges: fp.Series, mount: SensorMount, scanner: str) -> fp.Series:
     stamps_s, _, *columns = (np.array(column) for column in zip(*ranges.values, strict=True))
     scans = setup.scanners[scanner]
     rows, scan_rows = _simultaneous(stamps_s, scans.stamps_s)
@@ -219,7 +210,7 @@ def _beyond(setup: ScannerSetup, ranges: Series, mount: SensorMount, scanner: st
     (closest,) = in_blocks(len(rows), scans.rays, nearest_in_cone)
     closest = np.where(np.isinf(closest), np.nan, np.clip(closest, low, high))
     measured = np.where(measured < low, np.nan, np.minimum(measured, high))
-    return Series(ranges.times_s[rows], measured - closest)
+    return fp.Series(ranges.times_s[rows], measured - closest)
 
 
 def _simultaneous(stamps_s: Floats, others_s: Floats) -> tuple[Ints, Ints]:

@@ -9,14 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from oracle_pipeline.bags.jit import jit
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.geometry.scan_agreement import CLOSER_M, agreement
 from oracle_pipeline.features.geometry.scan_projection import project
 from oracle_pipeline.features.geometry.scanner_setup import (
@@ -29,17 +22,17 @@ from oracle_pipeline.features.statistics.arrays import autocorrelation, roughnes
 from oracle_pipeline.features.statistics.reduction import largest, quantile, row_medians
 
 FEATURES = (
-    Feature(
+    fp.Feature(
         "roughness", "1", 1e-3,
         "absolute second difference of neighbouring ranges over the range, median, maximum over "
         "the scanners", "domain",
     ),
-    Feature(
+    fp.Feature(
         "innovation", "m", 1e-3,
         "distance from a return to the nearest return of the previous scan after motion "
         "compensation, median, maximum over the scanners", "domain",
     ),
-    Feature(
+    fp.Feature(
         "innovation_whiteness", "1", 0.02,
         "1 - lag-1 autocorrelation along the rays of the range change since the previous scan, "
         "after motion compensation, median, maximum over the scanners", "domain",
@@ -53,18 +46,18 @@ _LONGEST_GAP_S = 1.0  # between compared scans
 class _Scanner:
     """Noise of each scan of a topic."""
 
-    roughness: Series
-    innovation: Series | None  # [m]
-    whiteness: Series | None
+    roughness: fp.Series
+    innovation: fp.Series | None  # [m]
+    whiteness: fp.Series | None
 
 
-def prepare(window: Window) -> dict[str, _Scanner]:
+def prepare(window: fp.Window) -> dict[str, _Scanner]:
     """Compute the figures of each scan of the recording."""
     setup = scanner_setup(window)
     return {topic: _scanner(setup, topic, scans) for topic, scans in setup.scanners.items()}
 
 
-def compute(window: Window) -> Values:
+def compute(window: fp.Window) -> fp.Values:
     """Reduce to the window."""
     scanners: dict[str, _Scanner] = window.prepared
     roughness = {t: quantile(s.roughness, window, 0.5) for t, s in scanners.items()}
@@ -99,17 +92,17 @@ def _autocorrelations(rows: Floats) -> Floats:
     return found
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of single laser scanners."""
-    return [FeaturePlugin("scan", "scan", FEATURES, compute, SETUP_TOPICS, prepare=prepare)]
+    return [fp.FeaturePlugin("scan", "scan", FEATURES, compute, SETUP_TOPICS, prepare=prepare)]
 
 
 def _scanner(setup: ScannerSetup, topic: str, scans: RecordedScans) -> _Scanner:
     (along,) = in_blocks(
         len(scans.times_s), scans.rays, lambda part: (roughness(scans.rows(part).ranges),)
     )
-    rough = Series(scans.times_s, along)
+    rough = fp.Series(scans.times_s, along)
     mount = setup.mounts.get(topic)
     if setup.motion is None or mount is None:
         return _Scanner(rough, None, None)
@@ -124,4 +117,4 @@ def _scanner(setup: ScannerSetup, topic: str, scans: RecordedScans) -> _Scanner:
 
     innovation, white = in_blocks(len(after), scans.rays, compared)
     times_s = scans.times_s[after]
-    return _Scanner(rough, Series(times_s, innovation), Series(times_s, white))
+    return _Scanner(rough, fp.Series(times_s, innovation), fp.Series(times_s, white))

@@ -12,14 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.geometry.scan_agreement import CLOSER_M
 from oracle_pipeline.features.geometry.scanner_setup import (
     SETUP_TOPICS,
@@ -37,36 +30,36 @@ from oracle_pipeline.features.statistics.reduction import (
 
 _OF = "over the scanners"
 FEATURES = (
-    Feature(
+    fp.Feature(
         "smooth", "1", 5e-3,
         "share of a scan's returns in long runs of rays that are much smoother (third difference) "
         f"than the scan, 95th percentile, maximum {_OF}", "domain",
     ),
-    Feature(
+    fp.Feature(
         "smooth_mean", "1", 3e-3,
         "share of a scan's returns in shorter runs of rays that are much smoother (third "
         f"difference) than the scan, mean over the scans, maximum {_OF}", "domain",
     ),
-    Feature(
+    fp.Feature(
         "rough", "1", 5e-3,
         "share of a scan's returns in runs of rays that are much rougher (third difference) than "
         f"the scan, 95th percentile, maximum {_OF}", "domain",
     ),
-    Feature(
+    fp.Feature(
         "repeated", "1", 5e-3,
         f"share of the scans with exactly the ranges of an earlier scan, maximum {_OF}", "domain",
     ),
-    Feature(
+    fp.Feature(
         "still_noise_max", "m", 1e-3,
         f"standard deviation of ranges while the robot stands still, median, maximum {_OF}",
         "domain",
     ),
-    Feature(
+    fp.Feature(
         "still_noise_min", "m", 1e-3,
         f"standard deviation of ranges while the robot stands still, median, minimum {_OF}",
         "domain",
     ),
-    Feature(
+    fp.Feature(
         "still_flicker", "1", 2e-3,
         f"share of the ranges that change by more than {CLOSER_M} m while the robot stands still, "
         f"mean, maximum {_OF}", "domain",
@@ -85,21 +78,21 @@ _NEXT_S = 0.5  # most time between scans of a standing robot
 class _Noise:
     """Noise of each scan of a topic."""
 
-    smooth: Series
-    smooth_short: Series
-    rough: Series
-    repeated: Series  # 1 or 0
-    still: Series  # [m], of scans in which the robot stands
-    flicker: Series
+    smooth: fp.Series
+    smooth_short: fp.Series
+    rough: fp.Series
+    repeated: fp.Series  # 1 or 0
+    still: fp.Series  # [m], of scans in which the robot stands
+    flicker: fp.Series
 
 
-def prepare(window: Window) -> dict[str, _Noise]:
+def prepare(window: fp.Window) -> dict[str, _Noise]:
     """Measure each scan of the recording."""
     setup = scanner_setup(window)
     return {topic: _noise(setup, topic, scans) for topic, scans in setup.scanners.items()}
 
 
-def compute(window: Window) -> Values:
+def compute(window: fp.Window) -> fp.Values:
     """Reduce to the window."""
     scanners: dict[str, _Noise] = window.prepared
     empty = "no scan has enough neighbouring valid ranges"
@@ -161,10 +154,12 @@ def _uneven(ranges: Floats) -> Floats:
     return shares
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of a scanner's noise."""
-    return [FeaturePlugin("scan_noise", "noise", FEATURES, compute, SETUP_TOPICS, prepare=prepare)]
+    return [
+        fp.FeaturePlugin("scan_noise", "noise", FEATURES, compute, SETUP_TOPICS, prepare=prepare)
+    ]
 
 
 def _noise(setup: ScannerSetup, topic: str, scans: RecordedScans) -> _Noise:
@@ -178,10 +173,10 @@ def _noise(setup: ScannerSetup, topic: str, scans: RecordedScans) -> _Noise:
     smooth, smooth_short, rough = shares.T
     still, flicker = _standing(setup, topic, scans)
     return _Noise(
-        Series(scans.times_s, smooth),
-        Series(scans.times_s, smooth_short),
-        Series(scans.times_s, rough),
-        Series(scans.times_s, repeated),
+        fp.Series(scans.times_s, smooth),
+        fp.Series(scans.times_s, smooth_short),
+        fp.Series(scans.times_s, rough),
+        fp.Series(scans.times_s, repeated),
         still,
         flicker,
     )
@@ -200,9 +195,9 @@ def _repeated(ranges: Floats, seen: set[bytes]) -> Floats:
     return again
 
 
-def _standing(setup: ScannerSetup, topic: str, scans: RecordedScans) -> tuple[Series, Series]:
+def _standing(setup: ScannerSetup, topic: str, scans: RecordedScans) -> tuple[fp.Series, fp.Series]:
     """Return noise [m] and flicker of the scans between which the robot stood."""
-    nothing = Series(np.empty(0), np.empty(0))
+    nothing = fp.Series(np.empty(0), np.empty(0))
     mount = setup.mounts.get(topic)
     if setup.motion is None or mount is None or len(scans.stamps_s) < 2:
         return nothing, nothing
@@ -217,7 +212,7 @@ def _standing(setup: ScannerSetup, topic: str, scans: RecordedScans) -> tuple[Se
         lambda part: _changes(scans.rows(after[part] - 1).ranges, scans.rows(after[part]).ranges),
     )
     times_s = scans.times_s[after]
-    return Series(times_s, deviation), Series(times_s, share)
+    return fp.Series(times_s, deviation), fp.Series(times_s, share)
 
 
 def _changes(before: Floats, now: Floats) -> tuple[Floats, Floats]:

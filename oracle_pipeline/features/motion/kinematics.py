@@ -16,16 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from oracle_pipeline.bags.jit import jit
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Located,
-    Missing,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.geometry.scan_matching import Steps
 from oracle_pipeline.features.geometry.scanner_setup import scanner_setup
 from oracle_pipeline.features.geometry.scans import Bools, Floats, Points
@@ -137,38 +128,38 @@ def _floors(pair: Pair) -> tuple[float, float, float, float]:
     return (5e-3, 0.02, 2e-3, 5e-3) if SCAN in pair else (2e-3, 0.02, 2e-3, 1e-3)
 
 
-def _features() -> Iterator[Feature]:
+def _features() -> Iterator[fp.Feature]:
     for pair in PAIRS:
         scale, lag, residual, drift = _floors(pair)
         what = f"{pair.quantity} from {pair.second} relative to {pair.first}"
-        yield Feature(
+        yield fp.Feature(
             pair.column("scale"), "1", scale,
             f"ln of the scale of {what}; value furthest from 0 over the topics", "domain",
         )  # fmt: skip
-        yield Feature(
+        yield fp.Feature(
             pair.column("lag"), "s", lag,
             f"delay of {what}; value furthest from 0 over the topics", "domain", timing=True,
         )  # fmt: skip
-        yield Feature(
+        yield fp.Feature(
             pair.column("residual"), _UNITS[pair.quantity], residual,
             f"root mean square of the residual, after scale and lag, of {what}; "
             "maximum over the topics", "domain", timing=True,
         )  # fmt: skip
-        yield Feature(
+        yield fp.Feature(
             pair.column("drift"), _UNITS[pair.quantity], drift,
             f"mean of the residual, after scale and lag, of {what}; "
             "value furthest from 0 over the topics", "domain", timing=True,
         )  # fmt: skip
         if pair.is_directed:
-            yield Feature(
+            yield fp.Feature(
                 pair.column("bearing"), "rad", 5e-3,
                 f"direction of {what}; value furthest from 0 over the topics", "domain",
             )  # fmt: skip
-    yield Feature(
+    yield fp.Feature(
         "gravity", "m/s^2", 0.02, "median magnitude of an IMU's linear acceleration; maximum over "
         "the topics", "domain",
     )  # fmt: skip
-    yield Feature(
+    yield fp.Feature(
         "gravity_residual", "m/s^2", 0.02, "magnitude of an IMU's mean linear acceleration minus "
         "gravity, with the vertical from its orientation; maximum over the topics", "domain",
     )  # fmt: skip
@@ -194,27 +185,27 @@ class _Prepared:
     """All comparisons of a recording."""
 
     pairs: Mapping[Pair, Mapping[str, _PairedGains]]  # by place: the two topics
-    gravity: Mapping[str, Series]
-    unexplained: Mapping[str, Series]
+    gravity: Mapping[str, fp.Series]
+    unexplained: Mapping[str, fp.Series]
 
 
-def prepare(window: Window) -> _Prepared | Missing:
+def prepare(window: fp.Window) -> _Prepared | fp.Missing:
     """Compare every source with every other source of its quantity."""
     found = sources(window.topics, scanner_setup(window))
     pairs = {pair: dict(_compared(found, pair)) for pair in PAIRS}
     if not any(pairs.values()) and not found.gravity:
-        return Missing("fewer than two sources measure the robot's motion")
+        return fp.Missing("fewer than two sources measure the robot's motion")
     return _Prepared(pairs, found.gravity, found.unexplained)
 
 
-def compute(window: Window) -> Values:
+def compute(window: fp.Window) -> fp.Values:
     """Fit scale and lag to the window's spans."""
     prepared: _Prepared = window.prepared
-    values: dict[str, float | Located | Missing] = {}
+    values: dict[str, float | fp.Located | fp.Missing] = {}
     for pair, places in prepared.pairs.items():
         fits = {place: _fitted(pair, each, window) for place, each in places.items()}
         if not places:
-            why = Missing(f"no {pair.quantity} from both {pair.first} and {pair.second}")
+            why = fp.Missing(f"no {pair.quantity} from both {pair.first} and {pair.second}")
             values |= {pair.column(statistic): why for statistic in pair.statistics}
             continue
         if COMMAND in pair or PLACE in pair:
@@ -310,11 +301,13 @@ def agreement(
     return math.log(scale), lag, residual, drift, math.atan2(direction.imag, direction.real)
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of sources of motion."""
     return [
-        FeaturePlugin("kinematics", "kinematics", FEATURES, compute, MOTION_TOPICS, prepare=prepare)
+        fp.FeaturePlugin(
+            "kinematics", "kinematics", FEATURES, compute, MOTION_TOPICS, prepare=prepare
+        )
     ]
 
 
@@ -360,7 +353,7 @@ def _comparison(pair: Pair, first: Motion, second: Motion | Steps) -> _PairedGai
     return _PairedGains(times_s[known], (to_s - from_s)[known], ours, slopes, gained, unit)
 
 
-def _fitted(pair: Pair, compared: _PairedGains, window: Window) -> Fit:
+def _fitted(pair: Pair, compared: _PairedGains, window: fp.Window) -> Fit:
     """Return the agreement of a pair in a window."""
     part = within(compared.times_s, window)
     first, slopes, second = compared.first[part], compared.first_slope[part], compared.second[part]
@@ -383,10 +376,10 @@ def _obeyed(fits: Mapping[str, Fit]) -> dict[str, Fit]:
     return {place: each for place, each in fits.items() if not each.residual > limit}
 
 
-def _furthest(by_place: Mapping[str, float], reason: str) -> Located | Missing:
+def _furthest(by_place: Mapping[str, float], reason: str) -> fp.Located | fp.Missing:
     """Return the number that is furthest from 0, and its place."""
     places = {place: value for place, value in by_place.items() if not math.isnan(value)}
     if not places:
-        return Missing(reason)
+        return fp.Missing(reason)
     where = max(places, key=lambda place: abs(places[place]))
-    return Located(places[where], where)
+    return fp.Located(places[where], where)

@@ -7,17 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.engine.common_fields import header_stamps_s, poses_of
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Missing,
-    Request,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-)
 from oracle_pipeline.features.geometry.odometry_path import ODOMETRY_POSES, OdometryPath
 from oracle_pipeline.features.geometry.planar_pose import PlanarPose
 from oracle_pipeline.features.geometry.scans import Floats
@@ -26,25 +17,25 @@ from oracle_pipeline.features.statistics.reduction import quantile
 from oracle_pipeline.robots.roles import PLAN, POSE
 
 _BELIEF_FEATURES = (
-    Feature(
+    fp.Feature(
         "position_spread", "m", 0.01,
         "standard deviation of the estimated position (square root of var x + var y), median",
         "navigation",
     ),
-    Feature("yaw_spread", "rad", 0.01, "standard deviation of the yaw, median", "navigation"),
+    fp.Feature("yaw_spread", "rad", 0.01, "standard deviation of the yaw, median", "navigation"),
 )  # fmt: skip
 _CORRECTION_FEATURES = (
-    Feature(
+    fp.Feature(
         "position_correction", "m", 0.01,
         "distance of a pose from the previous pose propagated by odometry, median", "navigation",
     ),
-    Feature(
+    fp.Feature(
         "yaw_correction", "rad", 0.005,
         "yaw of a pose relative to the previous pose propagated by odometry, median", "navigation",
     ),
 )  # fmt: skip
 PLAN_FEATURES = (
-    Feature(
+    fp.Feature(
         "plan_offset", "m", 0.02,
         "distance from the robot's estimated position to the start of its plan, median",
         "navigation",
@@ -61,7 +52,7 @@ def _keep_belief(messages: Any) -> tuple[Floats, ...]:
     )  # fmt: skip
 
 
-def _compute_belief(window: Window) -> Values:
+def _compute_belief(window: fp.Window) -> fp.Values:
     """Compute from the poses in the window."""
     (poses,) = window.topics["poses"].values()
     spread = np.sqrt(np.maximum(0.0, poses.values[:, 4:]))
@@ -69,7 +60,7 @@ def _compute_belief(window: Window) -> Values:
     return {"position_spread": float(position), "yaw_spread": float(yaw)}
 
 
-def _prepare_corrections(window: Window) -> tuple[Series, Series]:
+def _prepare_corrections(window: fp.Window) -> tuple[fp.Series, fp.Series]:
     """Return the difference of each pose from the predicted one: distance [m] and yaw [rad]."""
     (poses,) = window.topics["poses"].values()
     (odometry,) = window.topics["odometry"].values()
@@ -81,16 +72,16 @@ def _prepare_corrections(window: Window) -> tuple[Series, Series]:
     predicted = believed.at(before).compose(moved)
     times_s = poses.times_s[1:]
     return (
-        Series(times_s, np.abs(believed.translation[now] - predicted.translation)),
-        Series(times_s, np.abs(np.angle(believed.rotation[now] / predicted.rotation))),
+        fp.Series(times_s, np.abs(believed.translation[now] - predicted.translation)),
+        fp.Series(times_s, np.abs(np.angle(believed.rotation[now] / predicted.rotation))),
     )
 
 
-def _compute_corrections(window: Window) -> Values | Missing:
+def _compute_corrections(window: fp.Window) -> fp.Values | fp.Missing:
     """Reduce to the window."""
     position, yaw = (quantile(series, window, 0.5) for series in window.prepared)
     if np.isnan(position):
-        return Missing("fewer than two poses of localisation")
+        return fp.Missing("fewer than two poses of localisation")
     return {"position_correction": position, "yaw_correction": yaw}
 
 
@@ -106,7 +97,7 @@ def _keep_plan_starts(messages: Any) -> tuple[Floats, Floats, Floats]:
     return header_stamps_s(messages), x, y
 
 
-def _prepare_plan_offsets(window: Window) -> Series:
+def _prepare_plan_offsets(window: fp.Window) -> fp.Series:
     """Return the distance from the robot to the start of each plan [m]."""
     (plans,), (poses,), (odometry,) = (
         window.topics[name].values() for name in ("plan", "poses", "odometry")
@@ -118,28 +109,28 @@ def _prepare_plan_offsets(window: Window) -> Series:
     driven = OdometryPath(odometry, TransformTree({}))
     moved = driven.base(at_s[last]).inverse().compose(driven.base(stamps_s))
     offset = np.abs(x + 1j * y - place.compose(moved).translation)
-    return Series(plans.times_s, np.where(last >= 0, offset, np.nan))
+    return fp.Series(plans.times_s, np.where(last >= 0, offset, np.nan))
 
 
-def _compute_plan_offsets(window: Window) -> Values | Missing:
+def _compute_plan_offsets(window: fp.Window) -> fp.Values | fp.Missing:
     """Reduce to the window."""
     offset = quantile(window.prepared, window, 0.5)
-    return Missing("no plan in this window") if np.isnan(offset) else {"plan_offset": offset}
+    return fp.Missing("no plan in this window") if np.isnan(offset) else {"plan_offset": offset}
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of localisation."""
-    poses = {"poses": Request(_keep_belief, role=POSE, many=True)}
+    poses = {"poses": fp.Request(_keep_belief, role=POSE, many=True)}
     odometry = {"odometry": ODOMETRY_POSES}
-    plans = {"plan": Request(_keep_plan_starts, role=PLAN, many=True)}
+    plans = {"plan": fp.Request(_keep_plan_starts, role=PLAN, many=True)}
     return [
-        FeaturePlugin("belief", "navigation", _BELIEF_FEATURES, _compute_belief, poses),
-        FeaturePlugin(
+        fp.FeaturePlugin("belief", "navigation", _BELIEF_FEATURES, _compute_belief, poses),
+        fp.FeaturePlugin(
             "corrections", "navigation", _CORRECTION_FEATURES, _compute_corrections,
             poses | odometry, prepare=_prepare_corrections,
         ),
-        FeaturePlugin(
+        fp.FeaturePlugin(
             "plan_offsets", "navigation", PLAN_FEATURES, _compute_plan_offsets,
             poses | odometry | plans, prepare=_prepare_plan_offsets,
         ),

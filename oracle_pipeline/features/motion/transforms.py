@@ -10,17 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.engine.common_fields import frame_names, header_stamps_s, poses_of
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Missing,
-    Request,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-)
 from oracle_pipeline.features.geometry.odometry_path import keep_odometry
 from oracle_pipeline.features.geometry.planar_pose import PlanarPose, PosePath
 from oracle_pipeline.features.geometry.scans import Floats
@@ -30,32 +21,32 @@ from oracle_pipeline.features.statistics.times import nearest
 
 _TOPICS = "over the topics and transforms"
 FEATURES = (
-    Feature(
+    fp.Feature(
         "odometry_position", "m", 5e-3,
         "distance between the pose of odometry and its transform with the same stamp, 95th "
         f"percentile, maximum {_TOPICS}", "domain",
     ),
-    Feature(
+    fp.Feature(
         "odometry_yaw", "rad", 1e-3,
         "yaw difference between odometry and its transform with the same stamp, 95th percentile, "
         f"maximum {_TOPICS}", "domain",
     ),
-    Feature(
+    fp.Feature(
         "localisation_position", "m", 5e-3,
         "distance between the pose of localisation and that of the chained transforms, 95th "
         f"percentile, maximum {_TOPICS}", "domain",
     ),
-    Feature(
+    fp.Feature(
         "localisation_yaw", "rad", 5e-3,
         "yaw difference between localisation and the chained transforms, 95th percentile, "
         f"maximum {_TOPICS}", "domain",
     ),
-    Feature(
+    fp.Feature(
         "odometry_jump", "m", 5e-3,
         "distance of a pose of odometry from where its two neighbours say that it is, maximum "
         "over the messages and topics", "domain",
     ),
-    Feature(
+    fp.Feature(
         "odometry_yaw_jump", "rad", 5e-3,
         "yaw difference of a pose of odometry from what its two neighbours say, maximum over the "
         "messages and topics", "domain",
@@ -70,8 +61,8 @@ _MANY = 0.95  # quantile
 class _Apart(NamedTuple):
     """Differences of two sources of one pose, for each message."""
 
-    position: Series  # [m]
-    yaw: Series  # [rad]
+    position: fp.Series  # [m]
+    yaw: fp.Series  # [rad]
 
 
 class _Prepared(NamedTuple):
@@ -88,7 +79,7 @@ def _keep_poses(messages: Any) -> tuple[Any, ...]:
     return frames, header_stamps_s(messages), *poses_of(messages.pose.pose)
 
 
-def prepare(window: Window) -> _Prepared:
+def prepare(window: fp.Window) -> _Prepared:
     """Compare poses with two sources, over the whole recording."""
     moving = edges(window.topics["transforms"])
     odometry, jumps = {}, {}
@@ -113,7 +104,7 @@ def prepare(window: Window) -> _Prepared:
     return _Prepared(odometry, localisation, jumps)
 
 
-def compute(window: Window) -> Values | Missing:
+def compute(window: fp.Window) -> fp.Values | fp.Missing:
     """Reduce to the window."""
     prepared: _Prepared = window.prepared
     values = {}
@@ -134,26 +125,28 @@ def compute(window: Window) -> Values | Missing:
     return values
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of poses that are both messages and transforms."""
     topics = {
-        "odometry": Request(
+        "odometry": fp.Request(
             keep_odometry, msgtype="nav_msgs/msg/Odometry", dtype=object, optional=True, many=True
         ),
-        "poses": Request(
+        "poses": fp.Request(
             _keep_poses, msgtype="geometry_msgs/msg/PoseWithCovarianceStamped", dtype=object,
             optional=True, many=True,
         ),
         "transforms": MOVING,
     }  # fmt: skip
-    return [FeaturePlugin("transforms", "transforms", FEATURES, compute, topics, prepare=prepare)]
+    return [
+        fp.FeaturePlugin("transforms", "transforms", FEATURES, compute, topics, prepare=prepare)
+    ]
 
 
 def _apart(times_s: Floats, one: PlanarPose, other: PlanarPose) -> _Apart:
     return _Apart(
-        Series(times_s, np.abs(one.translation - other.translation)),
-        Series(times_s, np.abs(np.angle(one.rotation / other.rotation))),
+        fp.Series(times_s, np.abs(one.translation - other.translation)),
+        fp.Series(times_s, np.abs(np.angle(one.rotation / other.rotation))),
     )
 
 
@@ -164,11 +157,11 @@ def _jumps(times_s: Floats, stamps_s: Floats, pose: PlanarPose) -> _Apart:
     np.divide(stamps_s[1:-1] - stamps_s[:-2], between_s, out=weight, where=between_s > 0.0)
     weight = np.clip(weight, 0.0, 1.0)
     place, turn = (np.abs(v[1:-1] - v[:-2] - weight * (v[2:] - v[:-2])) for v in (shift, yaw))
-    return _Apart(Series(times_s[1:-1], place), Series(times_s[1:-1], turn))
+    return _Apart(fp.Series(times_s[1:-1], place), fp.Series(times_s[1:-1], turn))
 
 
 def _localised(
-    topic: str, series: Series, moving: Mapping[tuple[str, str], MovingTransform]
+    topic: str, series: fp.Series, moving: Mapping[tuple[str, str], MovingTransform]
 ) -> Iterator[tuple[str, _Apart]]:
     """Yield how far poses are from where a transform and the one that hangs on it lead.
 

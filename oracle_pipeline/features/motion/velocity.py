@@ -10,54 +10,44 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Missing,
-    Request,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-    timed,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.geometry.scans import Floats
 from oracle_pipeline.features.statistics.reduction import mean
 from oracle_pipeline.robots.roles import COMMAND, REQUESTED_COMMAND
 
 _MONITOR_FEATURES = (
-    Feature(
+    fp.Feature(
         "monitor_stopped", "1", 0.01,
         "share of non-zero velocity commands that the collision monitor stopped", "navigation",
         behaviour=True,
     ),
-    Feature(
+    fp.Feature(
         "monitor_slowed", "1", 0.01,
         "share of non-zero velocity commands that the collision monitor slowed down", "navigation",
         behaviour=True,
     ),
-    Feature(
+    fp.Feature(
         "monitor_altered", "1", 0.01,
         "share of non-zero velocity commands whose output is not a fraction of the command",
         "navigation",
     ),
 )  # fmt: skip
-_COMMAND_FEATURES = timed(
-    Feature(
+_COMMAND_FEATURES = fp.timed(
+    fp.Feature(
         "command_zero", "1", 0.05, "share of the velocity commands that are zero", "navigation",
         behaviour=True,
     ),
-    Feature(
+    fp.Feature(
         "command_reversals", "1/min", 6.0,
         "sign changes of the commanded angular velocity per minute of commands", "navigation",
         behaviour=True,
     ),
-    Feature(
+    fp.Feature(
         "command_jerk", "m/s^3", 1.0, "mean absolute jerk of the commanded linear velocity",
         "navigation",
         behaviour=True,
     ),
-    Feature(
+    fp.Feature(
         "command_angular_jerk", "rad/s^3", 0.5, "mean absolute angular jerk of the commands",
         "navigation", behaviour=True,
     ),
@@ -78,24 +68,24 @@ def keep(messages: Any) -> tuple[Floats, Floats]:
 class Answers(NamedTuple):
     """What the collision monitor made of each non-zero command; shape (n,) each."""
 
-    share: Series  # of the command that was sent on: 1 all, 0 nothing or no answer
-    altered: Series  # whether something else than a fraction of it was sent
+    share: fp.Series  # of the command that was sent on: 1 all, 0 nothing or no answer
+    altered: fp.Series  # whether something else than a fraction of it was sent
 
 
-def _prepare_monitor(window: Window) -> Answers:
+def _prepare_monitor(window: fp.Window) -> Answers:
     """Compare each non-zero command with the monitor's output."""
     (requested,) = window.topics["requested"].values()
     (commands,) = window.topics["commands"].values()
     return answers_of(requested, commands)
 
 
-def _compute_monitor(window: Window) -> Values | Missing:
+def _compute_monitor(window: fp.Window) -> fp.Values | fp.Missing:
     """Count what was stopped, slowed down and altered."""
     (times_s, share), altered = window.prepared
-    stopped = mean(Series(times_s, (share == 0.0).astype(float)), window)
-    slowed = mean(Series(times_s, ((share > 0.0) & (share < _SLOWED)).astype(float)), window)
+    stopped = mean(fp.Series(times_s, (share == 0.0).astype(float)), window)
+    slowed = mean(fp.Series(times_s, ((share > 0.0) & (share < _SLOWED)).astype(float)), window)
     if np.isnan(stopped):
-        return Missing("no non-zero velocity command")
+        return fp.Missing("no non-zero velocity command")
     return {
         "monitor_stopped": stopped,
         "monitor_slowed": slowed,
@@ -103,7 +93,7 @@ def _compute_monitor(window: Window) -> Values | Missing:
     }
 
 
-def answers_of(asked: Series, answers: Series) -> Answers:
+def answers_of(asked: fp.Series, answers: fp.Series) -> Answers:
     """Compare each non-zero command with the next output within `_ANSWER_S`."""
     size = np.hypot(*asked.values.T)
     moving = size > _STILL
@@ -116,21 +106,21 @@ def answers_of(asked: Series, answers: Series) -> Answers:
     fraction = np.clip((output * command).sum(axis=1) / size**2, 0.0, 1.0)
     beside = np.abs(output - fraction[:, None] * command).max(axis=1)
     return Answers(
-        Series(times_s, np.where(sent > _STILL, sent / size, 0.0)),
-        Series(times_s, (beside > _ALTERED).astype(float)),
+        fp.Series(times_s, np.where(sent > _STILL, sent / size, 0.0)),
+        fp.Series(times_s, (beside > _ALTERED).astype(float)),
     )
 
 
-def _compute_commands(window: Window) -> Values | Missing:
+def _compute_commands(window: fp.Window) -> fp.Values | fp.Missing:
     """Compute from the commands in the window."""
     ((times_s, commands),) = window.topics["commands"].values()
     if len(times_s) < 3:
-        return Missing("fewer than three velocity commands")
+        return fp.Missing("fewer than three velocity commands")
     intervals_s = np.diff(times_s)
     together = intervals_s <= 2.0 * np.median(intervals_s)  # without the pauses between goals
     interval_s = float(intervals_s[together].mean())
     if interval_s <= 0.0:
-        return Missing("the velocity commands have no time between them")
+        return fp.Missing("the velocity commands have no time between them")
     jerk, angular_jerk = np.abs(np.diff(commands, 2, axis=0)).mean(axis=0) / interval_s**2
     return {
         "command_zero": float((np.abs(commands) <= _STILL).all(axis=1).mean()),
@@ -146,15 +136,15 @@ def reversals(turn: NDArray[np.float64]) -> int:
     return int(np.count_nonzero(np.diff(sign)))
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of velocity commands."""
-    commands = {"commands": Request(keep, role=COMMAND, many=True)}
-    requested = {"requested": Request(keep, role=REQUESTED_COMMAND, many=True)}
+    commands = {"commands": fp.Request(keep, role=COMMAND, many=True)}
+    requested = {"requested": fp.Request(keep, role=REQUESTED_COMMAND, many=True)}
     return [
-        FeaturePlugin(
+        fp.FeaturePlugin(
             "collision_monitor", "navigation", _MONITOR_FEATURES, _compute_monitor,
             commands | requested, prepare=_prepare_monitor,
         ),
-        FeaturePlugin("commands", "navigation", _COMMAND_FEATURES, _compute_commands, commands),
+        fp.FeaturePlugin("commands", "navigation", _COMMAND_FEATURES, _compute_commands, commands),
     ]  # fmt: skip

@@ -13,29 +13,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Missing,
-    Request,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-    sole_series,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.robots.roles import BEHAVIOR_TREE, GOAL_STATUS, PLAN
 
 FEATURES = (
-    Feature(
+    fp.Feature(
         "duration", "s", 0.5, "time with an active goal", "navigation", behaviour=True,
         extensive=True,
     ),
-    Feature(
+    fp.Feature(
         "goals_reached", "1", 0.01, "share of the goals that ended, or take longer than any that "
         "ended, that were reached", "navigation", per_window=False, behaviour=True,
     ),
-    Feature(
+    fp.Feature(
         "time_per_planned_metre", "s/m", 0.1,
         "duration of the goals that ended over the total length of their first plans", "navigation",
         per_window=False, behaviour=True,
@@ -68,13 +58,13 @@ class RootChange(NamedTuple):
     state: str
 
 
-def compute(window: Window) -> Values | Missing:
+def compute(window: fp.Window) -> fp.Values | fp.Missing:
     """Compute from all messages up to the end of the window."""
     goals = goals_so_far(window)
-    if isinstance(goals, Missing):
+    if isinstance(goals, fp.Missing):
         return goals
     counted = _counted(goals, window.end_s)
-    none = Missing("no goal ended")
+    none = fp.Missing("no goal ended")
     return {
         "duration": time_under_way(goals, window),
         "goals_reached": sum(g.reached for g in counted) / len(counted) if counted else none,
@@ -82,22 +72,22 @@ def compute(window: Window) -> Values | Missing:
     }
 
 
-def goals_so_far(window: Window) -> list[Goal] | Missing:
+def goals_so_far(window: fp.Window) -> list[Goal] | fp.Missing:
     """Return the goals so far, from the action's status or else from the behavior tree's log."""
-    status = sole_series(window.history["status"])
+    status = fp.sole_series(window.history["status"])
     if status is not None and len(status.times_s):
         return _goals_of_status(status)
-    log = sole_series(window.history["log"])
+    log = fp.sole_series(window.history["log"])
     if log is None:
-        return Missing("neither a goal status nor a behaviour tree log is recorded")
-    ticks = sole_series(window.history["ticks"])
+        return fp.Missing("neither a goal status nor a behaviour tree log is recorded")
+    ticks = fp.sole_series(window.history["ticks"])
     goals = goals_of_log(log, log.times_s if ticks is None else ticks.times_s)
     if not goals and ticks is not None and len(ticks.times_s):
-        return Missing("the tree ran before the recording began, or its root has another name")
+        return fp.Missing("the tree ran before the recording began, or its root has another name")
     return goals
 
 
-def _goals_of_status(series: Series) -> list[Goal]:
+def _goals_of_status(series: fp.Series) -> list[Goal]:
     """Return the goals in messages of ``action_msgs/msg/GoalStatusArray``.
 
     A goal that is new and has ended began after the message before, which was lost. If there is
@@ -121,7 +111,7 @@ def _goals_of_status(series: Series) -> list[Goal]:
     return [goal for goal in goals.values() if goal.accepted_s != goal.ended_s]
 
 
-def goals_of_log(series: Series, ticks_s: NDArray[np.float64]) -> list[Goal]:
+def goals_of_log(series: fp.Series, ticks_s: NDArray[np.float64]) -> list[Goal]:
     """Return the goals in messages of ``nav2_msgs/msg/BehaviorTreeLog``.
 
     A goal is active while the root of the tree runs. The root is halted before it reports, so a
@@ -207,18 +197,18 @@ def _keep_plans(messages: Any) -> NDArray[np.float64]:
 
 #: Topics with the states of goals; a robot may lack either.
 GOAL_TOPICS = {
-    "status": Request(_keep_status, role=GOAL_STATUS, dtype=object, optional=True, carried=True),
-    "log": Request(_keep_log, role=BEHAVIOR_TREE, dtype=object, optional=True, carried=True),
-    "ticks": Request(_keep_tick, role=BEHAVIOR_TREE, many=True, optional=True),
+    "status": fp.Request(_keep_status, role=GOAL_STATUS, dtype=object, optional=True, carried=True),
+    "log": fp.Request(_keep_log, role=BEHAVIOR_TREE, dtype=object, optional=True, carried=True),
+    "ticks": fp.Request(_keep_tick, role=BEHAVIOR_TREE, many=True, optional=True),
 }
-PLANS = Request(_keep_plans, role=PLAN, many=True, carried=True)
+PLANS = fp.Request(_keep_plans, role=PLAN, many=True, carried=True)
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of navigation."""
     topics = GOAL_TOPICS | {"plan": replace(PLANS, optional=True)}
-    return [FeaturePlugin("goals", "contextual", FEATURES, compute, topics)]
+    return [fp.FeaturePlugin("goals", "contextual", FEATURES, compute, topics)]
 
 
 def _counted(goals: list[Goal], now_s: float) -> list[Goal]:
@@ -228,7 +218,7 @@ def _counted(goals: list[Goal], now_s: float) -> list[Goal]:
     return [g for g in goals if g.ended_s is not None or now_s - g.accepted_s > longest_s]
 
 
-def time_under_way(goals: list[Goal], window: Window) -> float:
+def time_under_way(goals: list[Goal], window: fp.Window) -> float:
     """Return how much of the window had an active goal [s]."""
 
     def overlap_s(goal: Goal) -> float:
@@ -238,10 +228,10 @@ def time_under_way(goals: list[Goal], window: Window) -> float:
     return float(sum(map(overlap_s, goals)))
 
 
-def _time_per_planned_metre(goals: list[Goal], window: Window) -> float | Missing:
-    plans = sole_series(window.history["plan"])
+def _time_per_planned_metre(goals: list[Goal], window: fp.Window) -> float | fp.Missing:
+    plans = fp.sole_series(window.history["plan"])
     if plans is None:
-        return Missing("no plan is recorded")
+        return fp.Missing("no plan is recorded")
     time_s = planned_m = 0.0
     for goal in goals:
         if goal.ended_s is None:
@@ -250,4 +240,4 @@ def _time_per_planned_metre(goals: list[Goal], window: Window) -> float | Missin
         if first < after:
             time_s += goal.ended_s - goal.accepted_s
             planned_m += float(plans.values[first])
-    return time_s / planned_m if planned_m > 0.0 else Missing("no goal that ended had a plan")
+    return time_s / planned_m if planned_m > 0.0 else fp.Missing("no goal that ended had a plan")

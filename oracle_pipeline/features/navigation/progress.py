@@ -12,17 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Missing,
-    Request,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-    sole_series,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.geometry.scans import Floats, Ints, Points
 from oracle_pipeline.features.motion import odometry
 from oracle_pipeline.features.navigation import goals
@@ -31,46 +21,46 @@ from oracle_pipeline.features.statistics.reduction import mean, quantile, within
 from oracle_pipeline.robots.roles import BEHAVIOR_TREE, ODOMETRY
 
 _RECOVERY_FEATURES = (
-    Feature(
+    fp.Feature(
         "recoveries", "1/min", 0.5, "recovery behaviours (spin, back up, wait, drive) per "
         "minute", "navigation", behaviour=True,
     ),
-    Feature(
+    fp.Feature(
         "costmap_clearings", "1/min", 0.5, "costmap clearings by the behaviour tree per minute",
         "navigation", behaviour=True,
     ),
 )  # fmt: skip
 PLAN_FEATURES = (
-    Feature(
+    fp.Feature(
         "replans", "1/min", 1.0, "plans to active goals per minute with one", "navigation",
         behaviour=True,
     ),
-    Feature(
+    fp.Feature(
         "plan_lengthening", "m", 0.05,
         "increase in length from one plan to the next to the same goal, 95th percentile",
         "navigation", behaviour=True,
     ),
-    Feature(
+    fp.Feature(
         "progress", "m/s", 0.01, "decrease in plan length to a goal per second, median",
         "navigation", behaviour=True,
     ),
 )  # fmt: skip
 _DRIVE_FEATURES = (
-    Feature(
+    fp.Feature(
         "path_efficiency", "1", 0.01,
         "length of the first plans over the distance driven, for goals that ended", "navigation",
         per_window=False, behaviour=True,
     ),
-    Feature(
+    fp.Feature(
         "stalled", "1", 0.01,
         "share of the time with an active goal in which the robot is less than 0.1 m from where "
         "it was 5 s earlier", "navigation", behaviour=True,
     ),
-    Feature(
+    fp.Feature(
         "longest_stall", "s", 1.0, "longest continuous stall, as in stalled", "navigation",
         per_window=False, behaviour=True, extensive=True,
     ),
-    Feature(
+    fp.Feature(
         "driven_without_goal", "m", 0.02, "distance driven without an active goal", "navigation",
         behaviour=True, extensive=True,
     ),
@@ -89,18 +79,18 @@ class _Plans:
     """Plans made while a goal was active."""
 
     goals: list[Goal]
-    made: Series  # lengths [m]
-    lengthening: Series  # of a plan against the one before to the same goal [m]
-    progress: Series  # [m/s]
+    made: fp.Series  # lengths [m]
+    lengthening: fp.Series  # of a plan against the one before to the same goal [m]
+    progress: fp.Series  # [m/s]
 
 
 @dataclass(frozen=True, slots=True)
 class _Drive:
     """Statistics of the robot's way to its goals."""
 
-    efficiency: float | Missing
-    stalled: Series  # 1 or 0, at each step with an active goal
-    without_goal: Series  # way since the last message [m], at times without an active goal
+    efficiency: float | fp.Missing
+    stalled: fp.Series  # 1 or 0, at each step with an active goal
+    without_goal: fp.Series  # way since the last message [m], at times without an active goal
 
 
 def _keep_begun(message: Any) -> tuple[int, int]:
@@ -116,19 +106,19 @@ def _keep_begun(message: Any) -> tuple[int, int]:
     )
 
 
-def _compute_recoveries(window: Window) -> Values | Missing:
+def _compute_recoveries(window: fp.Window) -> fp.Values | fp.Missing:
     """Count over the window; a silent tree counts as none."""
     if not window.history["log"]:
-        return Missing("no behaviour tree log is recorded")
+        return fp.Missing("no behaviour tree log is recorded")
     begun = sum(series.values.sum(axis=0) for series in window.topics["log"].values())
     recoveries, clearings = np.broadcast_to(begun, 2) * 60.0 / (window.end_s - window.start_s)
     return {"recoveries": float(recoveries), "costmap_clearings": float(clearings)}
 
 
-def _prepare_plans(window: Window) -> _Plans | Missing:
+def _prepare_plans(window: fp.Window) -> _Plans | fp.Missing:
     """Assign the plans to their goals."""
     accepted = _accepted(window)
-    if isinstance(accepted, Missing):
+    if isinstance(accepted, fp.Missing):
         return accepted
     ((times_s, lengths_m),) = window.topics["plan"].values()
     goal = goal_at(accepted, times_s)
@@ -136,18 +126,18 @@ def _prepare_plans(window: Window) -> _Plans | Missing:
     after_s, change_m = times_s[1:][same], np.diff(lengths_m)[same]
     return _Plans(
         accepted,
-        Series(times_s[goal >= 0], lengths_m[goal >= 0]),
-        Series(after_s, np.maximum(0.0, change_m)),
-        Series(after_s, -change_m / np.diff(times_s)[same]),
+        fp.Series(times_s[goal >= 0], lengths_m[goal >= 0]),
+        fp.Series(after_s, np.maximum(0.0, change_m)),
+        fp.Series(after_s, -change_m / np.diff(times_s)[same]),
     )
 
 
-def _compute_plans(window: Window) -> Values:
+def _compute_plans(window: fp.Window) -> fp.Values:
     """Reduce to the window."""
     plans: _Plans = window.prepared
     count = len(plans.made.times_s[within(plans.made.times_s, window)])
     under_way_s = max(time_under_way(plans.goals, window), _LEAST_S)
-    single = Missing("no goal had two plans in this window")
+    single = fp.Missing("no goal had two plans in this window")
     lengthening = quantile(plans.lengthening, window, 0.95)
     progress = quantile(plans.progress, window, 0.5)
     return {
@@ -157,23 +147,23 @@ def _compute_plans(window: Window) -> Values:
     }
 
 
-def _prepare_drive(window: Window) -> _Drive | Missing:
+def _prepare_drive(window: fp.Window) -> _Drive | fp.Missing:
     """Compute the efficiency and stalls of the whole recording."""
     accepted = _accepted(window)
-    if isinstance(accepted, Missing):
+    if isinstance(accepted, fp.Missing):
         return accepted
     (driven,) = window.topics["odometry"].values()
     return _Drive(
-        _efficiency(accepted, sole_series(window.topics["plan"]), driven),
+        _efficiency(accepted, fp.sole_series(window.topics["plan"]), driven),
         stalls(accepted, driven),
         _driven_without_goal(accepted, driven),
     )
 
 
-def _compute_drive(window: Window) -> Values:
+def _compute_drive(window: fp.Window) -> fp.Values:
     """Reduce to the window."""
     drive: _Drive = window.prepared
-    idle = Missing(f"no goal was active for {_STALLED_S:g} s")
+    idle = fp.Missing(f"no goal was active for {_STALLED_S:g} s")
     stalled = mean(drive.stalled, window)
     inside = drive.stalled.values[within(drive.stalled.times_s, window)]
     return {
@@ -194,7 +184,7 @@ def goal_at(accepted: Sequence[Goal], times_s: Floats) -> Ints:
     return np.where((number >= 0) & (times_s <= ends[number]), number, -1)
 
 
-def stalls(accepted: Sequence[Goal], driven: Series) -> Series:
+def stalls(accepted: Sequence[Goal], driven: fp.Series) -> fp.Series:
     """Return, step by step, whether the robot made no progress towards its goal.
 
     Values are 1 or 0, at steps where the same goal has been active for `_STALLED_S`.
@@ -204,7 +194,7 @@ def stalls(accepted: Sequence[Goal], driven: Series) -> Series:
     under_way = (goal >= 0) & (goal == goal_at(accepted, steps_s - _STALLED_S))
     steps_s = steps_s[under_way]
     now, before = _places(driven, steps_s), _places(driven, steps_s - _STALLED_S)
-    return Series(steps_s, (np.abs(now - before) < _STALLED_M).astype(np.float64))
+    return fp.Series(steps_s, (np.abs(now - before) < _STALLED_M).astype(np.float64))
 
 
 def longest(flags: NDArray[np.bool_]) -> int:
@@ -213,35 +203,39 @@ def longest(flags: NDArray[np.bool_]) -> int:
     return int(np.max(ends[1::2] - ends[::2], initial=0))
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of navigation."""
-    begun = {"log": Request(_keep_begun, role=BEHAVIOR_TREE, optional=True)}
+    begun = {"log": fp.Request(_keep_begun, role=BEHAVIOR_TREE, optional=True)}
     driven = {
         "plan": replace(PLANS, optional=True),
-        "odometry": Request(odometry.keep, role=ODOMETRY, many=True),
+        "odometry": fp.Request(odometry.keep, role=ODOMETRY, many=True),
     }
     return [
-        FeaturePlugin("recoveries", "navigation", _RECOVERY_FEATURES, _compute_recoveries, begun),
-        FeaturePlugin(
+        fp.FeaturePlugin(
+            "recoveries", "navigation", _RECOVERY_FEATURES, _compute_recoveries, begun
+        ),
+        fp.FeaturePlugin(
             "plans", "navigation", PLAN_FEATURES, _compute_plans, GOAL_TOPICS | {"plan": PLANS},
             prepare=_prepare_plans,
         ),
-        FeaturePlugin(
+        fp.FeaturePlugin(
             "drive", "navigation", _DRIVE_FEATURES, _compute_drive, GOAL_TOPICS | driven,
             prepare=_prepare_drive,
         ),
     ]  # fmt: skip
 
 
-def _accepted(window: Window) -> list[Goal] | Missing:
+def _accepted(window: fp.Window) -> list[Goal] | fp.Missing:
     """Return the accepted goals of a recording; missing without one."""
-    return goals.goals_so_far(window) or Missing("no goal was accepted")
+    return goals.goals_so_far(window) or fp.Missing("no goal was accepted")
 
 
-def _efficiency(accepted: Sequence[Goal], plans: Series | None, driven: Series) -> float | Missing:
+def _efficiency(
+    accepted: Sequence[Goal], plans: fp.Series | None, driven: fp.Series
+) -> float | fp.Missing:
     if plans is None:
-        return Missing("no plan is recorded")
+        return fp.Missing("no plan is recorded")
     planned_m = driven_m = 0.0
     places = driven.values[:, 0] + 1j * driven.values[:, 1]
     for goal in accepted:
@@ -252,17 +246,17 @@ def _efficiency(accepted: Sequence[Goal], plans: Series | None, driven: Series) 
         if first < after:
             planned_m += float(plans.values[first])
             driven_m += float(np.abs(np.diff(places[start:end])).sum())
-    return planned_m / driven_m if driven_m > 0.0 else Missing("no goal with a plan ended")
+    return planned_m / driven_m if driven_m > 0.0 else fp.Missing("no goal with a plan ended")
 
 
-def _driven_without_goal(accepted: Sequence[Goal], driven: Series) -> Series:
+def _driven_without_goal(accepted: Sequence[Goal], driven: fp.Series) -> fp.Series:
     steps_m = np.hypot(*np.diff(driven.values[:, :2], axis=0).T)
     times_s = driven.times_s[1:]
     idle = goal_at(accepted, times_s) < 0
-    return Series(times_s[idle], steps_m[idle])
+    return fp.Series(times_s[idle], steps_m[idle])
 
 
-def _places(driven: Series, times_s: Floats) -> Points:
+def _places(driven: fp.Series, times_s: Floats) -> Points:
     x, y = (np.interp(times_s, driven.times_s, column) for column in driven.values.T[:2])
     places: Points = x + 1j * y
     return places

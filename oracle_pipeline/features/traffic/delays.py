@@ -11,17 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from oracle_pipeline.bags.jit import jit
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Located,
-    Missing,
-    TopicArrivals,
-    Values,
-    Window,
-    hookimpl,
-    timed,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.geometry.scans import Floats
 from oracle_pipeline.features.statistics.reduction import largest, median_and_deviation
 from oracle_pipeline.robots.roles import SCAN
@@ -32,9 +22,9 @@ SENSORS = {
     "inertial": "sensor_msgs/msg/Imu",
     "joints": "sensor_msgs/msg/JointState",
 }
-FEATURES = timed(
+FEATURES = fp.timed(
     *(
-        Feature(
+        fp.Feature(
             f"{name}_latency", "s", 5e-3,
             f"latency, from stamp to recording, of {msgtype.rpartition('/')[2]} messages relative "
             "to the sensor with the lowest latency, median, maximum over the topics", "domain",
@@ -42,19 +32,19 @@ FEATURES = timed(
         for name, msgtype in SENSORS.items()
     ),
     *(
-        Feature(
+        fp.Feature(
             f"{name}_jitter", "s", 5e-3,
             f"median absolute deviation of the latency of {msgtype.rpartition('/')[2]} messages, "
             "maximum over the topics", "domain",
         )
         for name, msgtype in SENSORS.items()
     ),
-    Feature(
+    fp.Feature(
         "period_jitter", "1", 0.01,
         "median absolute deviation of the time between stamps over its median, maximum over the "
         "topics of sensors", "domain",
     ),
-    Feature(
+    fp.Feature(
         "late", "1", 0.05,
         "share of the messages whose latency is a period, and 25 ms, or more above the topic's "
         "median, maximum over the topics of sensors", "domain",
@@ -67,7 +57,7 @@ _LATE_S = 0.025  # more than a recorder or a loaded machine holds messages
 _ANOTHER_CLOCK_S = 3600.0  # least difference of stamps that are of another clock, or not set
 
 
-def compute(window: Window) -> Values | Missing:
+def compute(window: fp.Window) -> fp.Values | fp.Missing:
     """Compare the sensors of the window."""
     held = {
         topic: _held_s(each)
@@ -75,12 +65,12 @@ def compute(window: Window) -> Values | Missing:
         if len(each.header_stamps_ns) >= _FEWEST and _sensor(topic, window)
     }
     if not held:
-        return Missing("too few messages of sensors with header stamps")
+        return fp.Missing("too few messages of sensors with header stamps")
     held = _over_the_freshest(held, window.arrivals)
     spreads = {topic: median_and_deviation(each) for topic, each in held.items()}
     held = {t: each for t, each in held.items() if abs(spreads[t][0]) < _ANOTHER_CLOCK_S}
     usual = {topic: each[0] for topic, each in spreads.items()}
-    values: dict[str, float | Located | Missing] = {}
+    values: dict[str, float | fp.Located | fp.Missing] = {}
     for name, msgtype in SENSORS.items():
         topics = [topic for topic in held if _sensor(topic, window) == name]
         none = f"too few {msgtype} messages with header stamps"
@@ -100,13 +90,13 @@ def compute(window: Window) -> Values | Missing:
     return values
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of stamps."""
-    return [FeaturePlugin("stamps", "stamps", FEATURES, compute)]
+    return [fp.FeaturePlugin("stamps", "stamps", FEATURES, compute)]
 
 
-def _sensor(topic: str, window: Window) -> str:
+def _sensor(topic: str, window: fp.Window) -> str:
     """Return the kind of sensor of a topic; empty without one."""
     if window.roles.has(SCAN, topic):
         return "scan"
@@ -114,7 +104,7 @@ def _sensor(topic: str, window: Window) -> str:
 
 
 def _over_the_freshest(
-    held: Mapping[str, Floats], arrivals: Mapping[str, TopicArrivals]
+    held: Mapping[str, Floats], arrivals: Mapping[str, fp.TopicArrivals]
 ) -> dict[str, Floats]:
     """Return the delays from stamp to recording minus those of the freshest sensor at that time.
 
@@ -148,13 +138,13 @@ def _fitted_line(x: Floats, y: Floats) -> Floats:
     return fitted
 
 
-def _held_s(arrivals: TopicArrivals) -> Floats:
+def _held_s(arrivals: fp.TopicArrivals) -> Floats:
     """Return the delay from stamp to recording, up to a constant of the recording [s]."""
     stamps_ns = arrivals.header_stamps_ns
     return arrivals.times_s - stamps_ns.astype(np.float64) / 1e9
 
 
-def _period(arrivals: TopicArrivals) -> tuple[float, float]:
+def _period(arrivals: fp.TopicArrivals) -> tuple[float, float]:
     """Return the median time between stamps [s], and its relative deviation; NaN if it is 0."""
     stamps_ns = arrivals.header_stamps_ns
     period_s, deviation_s = median_and_deviation((stamps_ns[1:] - stamps_ns[:-1]) / 1e9)

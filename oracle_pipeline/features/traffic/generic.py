@@ -14,19 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Located,
-    Missing,
-    RawRecord,
-    Request,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-    timed,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.statistics.arrays import ARRAYS, STATISTICS, statistics_of_topics
 from oracle_pipeline.features.statistics.reduction import (
     column_medians,
@@ -50,17 +38,17 @@ _OVER_TOPICS = {"max": "maximum", "min": "minimum", "mean": "mean"}  # over topi
 
 def _features(
     name: str, unit: str, floor: float, description: str, *, per_window: bool = True
-) -> Iterator[Feature]:
+) -> Iterator[fp.Feature]:
     for reduction, words in _OVER_TOPICS.items():
         told = f"{description}, {words} over topics"
-        yield Feature(f"{name}_{reduction}", unit, floor, told, per_window=per_window)
+        yield fp.Feature(f"{name}_{reduction}", unit, floor, told, per_window=per_window)
 
 
-_TIMING_FEATURES = timed(
-    Feature("message_rate", "1/s", 1.0, "messages of all topics per second", share=_USUAL_SHARE),
-    Feature("byte_rate", "B/s", 100.0, "bytes of all topics per second", share=_USUAL_SHARE),
-    Feature("silent_topics", "1", 0.01, "share of the topics without messages"),
-    Feature(
+_TIMING_FEATURES = fp.timed(
+    fp.Feature("message_rate", "1/s", 1.0, "messages of all topics per second", share=_USUAL_SHARE),
+    fp.Feature("byte_rate", "B/s", 100.0, "bytes of all topics per second", share=_USUAL_SHARE),
+    fp.Feature("silent_topics", "1", 0.01, "share of the topics without messages"),
+    fp.Feature(
         "steady_topics", "1", 0.05,
         "share of the topics that publish at a steady rate from start to end", per_window=False,
         extensive=True,
@@ -70,12 +58,12 @@ _TIMING_FEATURES = timed(
         "median absolute deviation of the time between messages over its median, steady topics",
         per_window=False,
     ),
-    Feature(
+    fp.Feature(
         "gap_max", "1", 1.0,
         "longest time between messages over the topic's median, maximum over the steady topics",
         per_window=False, extensive=True,
     ),
-    Feature(
+    fp.Feature(
         "out_of_order_max", "1", 0.05,
         "share of header stamps earlier than the previous message's, maximum over topics",
     ),
@@ -104,7 +92,7 @@ class _Rhythm(NamedTuple):
     gap: float  # maximum over the median
 
 
-def _prepare_timing(window: Window) -> dict[str, float]:
+def _prepare_timing(window: fp.Window) -> dict[str, float]:
     """Return the steady topics and their periods [s]."""
     duration_s = window.end_s - window.start_s
     steady = {}
@@ -120,11 +108,11 @@ def _prepare_timing(window: Window) -> dict[str, float]:
     return steady
 
 
-def _compute_timing(window: Window) -> Values | Missing:
+def _compute_timing(window: fp.Window) -> fp.Values | fp.Missing:
     """Compute from the times and sizes of all messages."""
     topics = window.arrivals
     if not topics:
-        return Missing("no topic is recorded")
+        return fp.Missing("no topic is recorded")
     steady: dict[str, float] = window.prepared
     counts = [len(arrivals.times_s) for arrivals in topics.values()]
     duration_s = window.end_s - window.start_s
@@ -149,24 +137,24 @@ def _compute_timing(window: Window) -> Values | Missing:
     }
 
 
-def _compute_bytes(window: Window) -> Values:
+def _compute_bytes(window: fp.Window) -> fp.Values:
     """Compute from the bytes of a few messages of each topic."""
     short = f"no message of {_SHORTEST} bytes or more"
     return _medians(window.topics["messages"], window, ("byte_entropy", "zlib_ratio"), short)
 
 
-def _prepare_arrays(window: Window) -> dict[str, Series]:
+def _prepare_arrays(window: fp.Window) -> dict[str, fp.Series]:
     """Return the statistics of each array, shape (n, 5), by topic."""
     return statistics_of_topics(window)
 
 
-def _compute_arrays(window: Window) -> Values:
+def _compute_arrays(window: fp.Window) -> fp.Values:
     """Compute from the arrays in messages."""
     none = "no array of floating-point numbers"
     return _medians(window.prepared, window, STATISTICS, none)
 
 
-def _keep_bytes(record: RawRecord) -> tuple[float, float] | None:
+def _keep_bytes(record: fp.RawRecord) -> tuple[float, float] | None:
     """Return entropy [bit] and compressibility of the bytes' changes; None if there are few."""
     if len(record.data) < _SHORTEST:
         return None
@@ -175,19 +163,19 @@ def _keep_bytes(record: RawRecord) -> tuple[float, float] | None:
     return _entropy(changes), len(zlib.compress(changes.tobytes(), 1)) / changes.size
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of any bag."""
     return [
-        FeaturePlugin(
+        fp.FeaturePlugin(
             "generic_timing", "generic", _TIMING_FEATURES, _compute_timing,
             prepare=_prepare_timing,
         ),
-        FeaturePlugin(
+        fp.FeaturePlugin(
             "generic_bytes", "generic", _BYTE_FEATURES, _compute_bytes,
-            {"messages": Request(_keep_bytes, raw=True, every_s=_SAMPLED_S, optional=True)},
+            {"messages": fp.Request(_keep_bytes, raw=True, every_s=_SAMPLED_S, optional=True)},
         ),
-        FeaturePlugin(
+        fp.FeaturePlugin(
             "generic_arrays", "generic", _ARRAY_FEATURES, _compute_arrays,
             {"arrays": ARRAYS},
             prepare=_prepare_arrays,
@@ -240,14 +228,14 @@ def _totals(sizes: NDArray[np.int64], stamps_ns: NDArray[np.int64]) -> tuple[int
 
 
 def _medians(
-    topics: Mapping[str, Series], window: Window, names: tuple[str, ...], reason: str
-) -> Values:
+    topics: Mapping[str, fp.Series], window: fp.Window, names: tuple[str, ...], reason: str
+) -> fp.Values:
     medians = {
         topic: column_medians(rows)
         for topic, (times_s, columns) in topics.items()
         if len(rows := columns[within(times_s, window)])
     }
-    values: dict[str, float | Located | Missing] = {}
+    values: dict[str, float | fp.Located | fp.Missing] = {}
     for column, name in enumerate(names):
         by_topic = {topic: float(each[column]) for topic, each in medians.items()}
         values |= _over_topics(name, by_topic, reason)
@@ -256,10 +244,10 @@ def _medians(
 
 def _over_topics(
     name: str, by_topic: Mapping[str, float], reason: str
-) -> dict[str, float | Located | Missing]:
+) -> dict[str, float | fp.Located | fp.Missing]:
     values = {topic: value for topic, value in by_topic.items() if not np.isnan(value)}
     if not values:
-        return dict.fromkeys((f"{name}_{each}" for each in _OVER_TOPICS), Missing(reason))
+        return dict.fromkeys((f"{name}_{each}" for each in _OVER_TOPICS), fp.Missing(reason))
     return {
         f"{name}_max": largest(values, reason),
         f"{name}_min": smallest(values, reason),

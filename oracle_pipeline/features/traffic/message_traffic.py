@@ -13,56 +13,47 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.jit import jit
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Located,
-    Missing,
-    Values,
-    Window,
-    hookimpl,
-    timed,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.engine.shared import once_for_graph, system_of
 
 Edge: TypeAlias = tuple[str, str]
 _Flows: TypeAlias = Mapping[Edge, int]  # messages or bytes by edge
 
-FEATURES = timed(
-    Feature("flow_entropy", "nat", 0.01, "Shannon entropy of the edges' shares of all messages"),
-    Feature("byte_flow_entropy", "nat", 0.01, "Shannon entropy of the edges' shares of all bytes"),
-    Feature(
+FEATURES = fp.timed(
+    fp.Feature("flow_entropy", "nat", 0.01, "Shannon entropy of the edges' shares of all messages"),
+    fp.Feature("byte_flow_entropy", "nat", 0.01, "Shannon entropy of the edges' shares of bytes"),
+    fp.Feature(
         "flow_variance", "1", 0.01, "variance of the edges' message counts / squared mean",
         share=0.01,
     ),
-    Feature("largest_flow", "1", 1e-3, "largest share of all messages on a single edge"),
-    Feature("largest_byte_flow", "1", 1e-3, "largest share of all bytes on a single edge"),
-    Feature(
+    fp.Feature("largest_flow", "1", 1e-3, "largest share of all messages on a single edge"),
+    fp.Feature("largest_byte_flow", "1", 1e-3, "largest share of all bytes on a single edge"),
+    fp.Feature(
         "closeness_mean", "1", 1e-3,
         "closeness centrality by incoming paths, mean over the vertices; the length of an edge is "
         "the mean message count over its own",
     ),
-    Feature(
+    fp.Feature(
         "closeness_max", "1", 1e-3,
         "closeness centrality by incoming paths, maximum over the vertices; the length of an edge "
         "is the mean message count over its own",
     ),
-    Feature(
+    fp.Feature(
         "imbalance", "1", 1e-3,
         "sum over the ROS nodes of abs(received - published messages), over the messages of all "
         "edges",
     ),
-    Feature(
+    fp.Feature(
         "imbalance_max", "1", 1e-3,
         "largest abs(received - published messages) of a ROS node, over the messages of all edges",
     ),
-    Feature(
+    fp.Feature(
         "flow_change", "1", 1e-3,
         "total variation distance of the edges' message shares from those of the previous "
         "interval, mean over the intervals",
     ),
-    Feature("appeared_edges", "1", 1.0, "edges that the previous interval did not have"),
-    Feature("vanished_edges", "1", 1.0, "edges that only the previous interval had"),
+    fp.Feature("appeared_edges", "1", 1.0, "edges that the previous interval did not have"),
+    fp.Feature("vanished_edges", "1", 1.0, "edges that only the previous interval had"),
 )  # fmt: skip
 
 
@@ -75,7 +66,7 @@ class _Change(NamedTuple):
     vanished: int
 
 
-def prepare(window: Window) -> list[_Change]:
+def prepare(window: fp.Window) -> list[_Change]:
     """Compare each interval of the recording with the one before."""
     starts = [interval.start_s for interval in window.intervals]
     systems = [system_of(interval.graph, window.shared) for interval in window.intervals]
@@ -86,16 +77,16 @@ def prepare(window: Window) -> list[_Change]:
     ]
 
 
-def compute(window: Window) -> Values | Missing:
+def compute(window: fp.Window) -> fp.Values | fp.Missing:
     """Compute the flows of a window's graph, and the changes of the intervals that it touches."""
     assert window.system is not None  # noqa: S101 -- the plugin needs a graph
     return once_for_graph(_traffic, window, window.system)
 
 
-def _traffic(window: Window, graph: RosGraph) -> Values | Missing:
+def _traffic(window: fp.Window, graph: RosGraph) -> fp.Values | fp.Missing:
     messages, data = _flows(graph, "messages"), _flows(graph, "bytes")
     if not any(messages.values()):
-        return Missing("no edge has a message")
+        return fp.Missing("no edge has a message")
     starts = {interval.start_s for interval in window.intervals}
     changes = [each for each in window.prepared if each.start_s in starts]
     return {
@@ -110,11 +101,11 @@ def _traffic(window: Window, graph: RosGraph) -> Values | Missing:
     }
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of traffic."""
     return [
-        FeaturePlugin("traffic", "traffic", FEATURES, compute, needs_graph=True, prepare=prepare)
+        fp.FeaturePlugin("traffic", "traffic", FEATURES, compute, needs_graph=True, prepare=prepare)
     ]
 
 
@@ -176,12 +167,12 @@ def _relative_variance(flows: _Flows) -> float:
     return float(numbers.var() / numbers.mean() ** 2)
 
 
-def _largest_share(flows: _Flows) -> Located:
+def _largest_share(flows: _Flows) -> fp.Located:
     edge = max(flows, key=lambda each: (flows[each], each))
-    return Located(_shares(flows)[edge], _text(edge))
+    return fp.Located(_shares(flows)[edge], _text(edge))
 
 
-def _central(flows: _Flows) -> dict[str, float | Located]:
+def _central(flows: _Flows) -> dict[str, float | fp.Located]:
     busy = {edge: flow for edge, flow in flows.items() if flow}
     vertices = sorted({vertex for edge in busy for vertex in edge})
     number = {vertex: i for i, vertex in enumerate(vertices)}
@@ -192,11 +183,11 @@ def _central(flows: _Flows) -> dict[str, float | Located]:
     close = closeness(lengths)
     return {
         "closeness_mean": float(close.mean()),
-        "closeness_max": Located(float(close.max()), vertices[int(close.argmax())]),
+        "closeness_max": fp.Located(float(close.max()), vertices[int(close.argmax())]),
     }
 
 
-def _imbalance(graph: RosGraph, flows: _Flows) -> dict[str, float | Located]:
+def _imbalance(graph: RosGraph, flows: _Flows) -> dict[str, float | fp.Located]:
     surplus = {vertex: 0 for vertex in sorted(graph) if graph.nodes[vertex]["kind"] == "node"}
     total = sum(flows.values())
     for (source, target), flow in flows.items():
@@ -207,13 +198,13 @@ def _imbalance(graph: RosGraph, flows: _Flows) -> dict[str, float | Located]:
     where = max(surplus, key=lambda vertex: abs(surplus[vertex]))
     return {
         "imbalance": sum(map(abs, surplus.values())) / total,
-        "imbalance_max": Located(abs(surplus[where]) / total, where),
+        "imbalance_max": fp.Located(abs(surplus[where]) / total, where),
     }
 
 
-def _over_time(changes: list[_Change]) -> dict[str, float | Located | Missing]:
+def _over_time(changes: list[_Change]) -> dict[str, float | fp.Located | fp.Missing]:
     if not changes:
-        first = Missing("there is no previous interval")
+        first = fp.Missing("there is no previous interval")
         return dict.fromkeys(("flow_change", "appeared_edges", "vanished_edges"), first)
     size: dict[Edge, float] = {}
     for change in changes:
@@ -221,7 +212,7 @@ def _over_time(changes: list[_Change]) -> dict[str, float | Located | Missing]:
             size[edge] = size.get(edge, 0.0) + abs(share)
     where = max(size, key=lambda each: (size[each], each), default=("", ""))
     return {
-        "flow_change": Located(sum(size.values()) / 2.0 / len(changes), _text(where)),
+        "flow_change": fp.Located(sum(size.values()) / 2.0 / len(changes), _text(where)),
         "appeared_edges": float(sum(change.appeared for change in changes)),
         "vanished_edges": float(sum(change.vanished for change in changes)),
     }

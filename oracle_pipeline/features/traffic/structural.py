@@ -13,39 +13,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.graph_files import RosGraph
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Missing,
-    Values,
-    Window,
-    hookimpl,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.engine.shared import once_for_graph
 
 FEATURES = (
-    Feature("max_degree", "1", 1.0, "largest degree (number of edges) of a vertex"),
-    Feature("max_in_degree", "1", 1.0, "largest in-degree of a vertex"),
-    Feature("max_out_degree", "1", 1.0, "largest out-degree of a vertex"),
-    Feature("average_degree", "1", 0.01, "mean degree of n vertices with m edges, 2m/n"),
-    Feature("density", "1", 1e-4, "edges over all ordered pairs of vertices, m/(n(n-1))"),
-    Feature(
+    fp.Feature("max_degree", "1", 1.0, "largest degree (number of edges) of a vertex"),
+    fp.Feature("max_in_degree", "1", 1.0, "largest in-degree of a vertex"),
+    fp.Feature("max_out_degree", "1", 1.0, "largest out-degree of a vertex"),
+    fp.Feature("average_degree", "1", 0.01, "mean degree of n vertices with m edges, 2m/n"),
+    fp.Feature("density", "1", 1e-4, "edges over all ordered pairs of vertices, m/(n(n-1))"),
+    fp.Feature(
         "bipartite_density",
         "1",
         1e-3,
         "edges over all possible node-topic edges, m/(2 x nodes x topics)",
     ),
-    Feature("degree_entropy", "nat", 0.01, "Shannon entropy of the degree distribution"),
-    Feature(
+    fp.Feature("degree_entropy", "nat", 0.01, "Shannon entropy of the degree distribution"),
+    fp.Feature(
         "node_entropy",
         "1",
         1e-3,
         "Shannon entropy of the vertices' shares of the total degree, over its maximum ln n",
     ),
-    Feature("degree_variance", "1", 0.1, "variance of the degrees"),
-    Feature("degree_cv", "1", 0.01, "coefficient of variation of the degrees"),
-    Feature("max_in_degree_centrality", "1", 1e-3, "largest in-degree divided by n-1"),
-    Feature("mean_betweenness", "1", 1e-5, "mean betweenness centrality"),
+    fp.Feature("degree_variance", "1", 0.1, "variance of the degrees"),
+    fp.Feature("degree_cv", "1", 0.01, "coefficient of variation of the degrees"),
+    fp.Feature("max_in_degree_centrality", "1", 1e-3, "largest in-degree divided by n-1"),
+    fp.Feature("mean_betweenness", "1", 1e-5, "mean betweenness centrality"),
 )
 
 
@@ -76,36 +69,36 @@ def graph_shape(graph: RosGraph) -> dict[str, float]:
     }
 
 
-def compute(window: Window) -> Values | Missing:
+def compute(window: fp.Window) -> fp.Values | fp.Missing:
     """Compute the shape of the system."""
     assert window.system is not None  # noqa: S101 -- the plugin needs a graph
     return once_for_graph(_compute, window, window.system)
 
 
-def _compute_raw(window: Window) -> Values | Missing:
+def _compute_raw(window: fp.Window) -> fp.Values | fp.Missing:
     """Compute the shape of the whole graph, including observers."""
     assert window.graph is not None  # noqa: S101 -- the plugin needs a graph
     return once_for_graph(_compute, window, window.graph)
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the structural features."""
     shortcuts = tuple(
         replace(each, shortcut=True, description=f"{each.description}; graph with observers")
         for each in FEATURES
     )
     return [
-        FeaturePlugin("structural", "structural", FEATURES, compute, needs_graph=True),
-        FeaturePlugin(
+        fp.FeaturePlugin("structural", "structural", FEATURES, compute, needs_graph=True),
+        fp.FeaturePlugin(
             "structural_raw", "structural_raw", shortcuts, _compute_raw, needs_graph=True
         ),
     ]
 
 
-def _compute(_: Window, graph: RosGraph) -> Values | Missing:
+def _compute(_: fp.Window, graph: RosGraph) -> fp.Values | fp.Missing:
     if not graph.edges:
-        return Missing("the graph has no edges")
+        return fp.Missing("the graph has no edges")
     vertices = frozenset((vertex, data["kind"]) for vertex, data in graph.nodes(data=True))
     return _shape(vertices, frozenset(graph.edges))
 

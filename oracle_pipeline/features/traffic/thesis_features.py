@@ -12,23 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.graph_files import RosGraph
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.engine.common_fields import arc_tangents
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Missing,
-    Request,
-    Values,
-    Window,
-    hookimpl,
-)
 from oracle_pipeline.features.statistics.arrays import each
 from oracle_pipeline.graphs.views import thesis_view
 from oracle_pipeline.robots.roles import ODOMETRY, SCAN
 
 
-def _of_run(name: str, unit: str, floor: float, description: str, **more: Any) -> Feature:
-    return Feature(name, unit, floor, f"thesis's code: {description}", per_window=False, **more)
+def _of_run(name: str, unit: str, floor: float, description: str, **more: Any) -> fp.Feature:
+    return fp.Feature(name, unit, floor, f"thesis's code: {description}", per_window=False, **more)
 
 
 _STRUCTURAL = (
@@ -74,11 +66,11 @@ def graph_numbers(graph: RosGraph) -> dict[str, float]:
     }
 
 
-def _compute_structural(window: Window) -> Values | Missing:
+def _compute_structural(window: fp.Window) -> fp.Values | fp.Missing:
     """Compute from the graph of the run as it was recorded: nodes and topics, observers too."""
     assert window.graph is not None  # noqa: S101 -- the plugin needs a graph
     graph = thesis_view(window.graph)
-    return graph_numbers(graph) if len(graph) else Missing("the graph has no vertices")
+    return graph_numbers(graph) if len(graph) else fp.Missing("the graph has no vertices")
 
 
 def _wrapped_yaw(messages: Any) -> NDArray[np.float64]:
@@ -108,36 +100,36 @@ def _row_variances(ranges: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
     return np.asarray(np.var(ranges.astype(np.float64), axis=1))
 
 
-def _compute_contextual(window: Window) -> Values | Missing:
+def _compute_contextual(window: fp.Window) -> fp.Values | fp.Missing:
     """Compute from the robot's odometry and scans; the thesis names topics instead."""
     duration_ns = round((window.end_s - window.start_s) * 1e9) - 1  # the end is exclusive
     if duration_ns == 0:
-        return Missing("the bag has fewer than two messages")
+        return fp.Missing("the bag has fewer than two messages")
     yaws, variances = (
         np.concatenate([np.empty(0), *(series.values for series in window.topics[name].values())])
         for name in ("odometry", "scans")
     )
     return {
-        "yaw_variance": float(np.var(yaws)) if yaws.size else Missing("no odometry"),
+        "yaw_variance": float(np.var(yaws)) if yaws.size else fp.Missing("no odometry"),
         "range_variance": _nan_to_zero(np.mean(variances))
         if variances.size
-        else Missing("no scans"),
+        else fp.Missing("no scans"),
         "duration_ns": float(duration_ns),
     }
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the thesis's ten features."""
     topics = {
-        "odometry": Request(_wrapped_yaw, role=ODOMETRY, optional=True, many=True),
-        "scans": Request(range_variance, role=SCAN, optional=True, many=True),
+        "odometry": fp.Request(_wrapped_yaw, role=ODOMETRY, optional=True, many=True),
+        "scans": fp.Request(range_variance, role=SCAN, optional=True, many=True),
     }
     return [
-        FeaturePlugin(
+        fp.FeaturePlugin(
             "thesis_structural", "thesis", _STRUCTURAL, _compute_structural, needs_graph=True
         ),
-        FeaturePlugin("thesis_contextual", "thesis", _CONTEXTUAL, _compute_contextual, topics),
+        fp.FeaturePlugin("thesis_contextual", "thesis", _CONTEXTUAL, _compute_contextual, topics),
     ]
 
 

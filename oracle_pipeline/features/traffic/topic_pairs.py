@@ -16,16 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit
-from oracle_pipeline.features.engine.plugin import (
-    Feature,
-    FeaturePlugin,
-    Missing,
-    Series,
-    Values,
-    Window,
-    hookimpl,
-    timed,
-)
+from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.statistics.arrays import (
     ARRAYS,
     STATISTICS,
@@ -37,24 +28,26 @@ from oracle_pipeline.features.statistics.arrays import (
 from oracle_pipeline.features.statistics.reduction import largest, mean, quantile, smallest, within
 
 FEATURES = (
-    Feature(
+    fp.Feature(
         "rank_difference_max", "1", 5e-3,
         "1 - Spearman's correlation between the arrays of two topics, mean, maximum over the pairs",
     ),
-    Feature(
+    fp.Feature(
         "rank_difference_min", "1", 5e-3,
         "1 - Spearman's correlation between the arrays of two topics, mean, minimum over the pairs",
     ),
-    Feature(
+    fp.Feature(
         "histogram_distance", "1", 2e-3,
         "Wasserstein-1 distance between the numbers of two topics, over the range of all numbers "
         "of the type, maximum over the pairs",
     ),
-    Feature(
+    fp.Feature(
         "roughness_ratio", "1", 0.3, "abs(ln) of two topics' ratio of median roughness, maximum"
     ),
-    *timed(Feature("rate_ratio", "1", 0.05, "abs(ln) of two topics' ratio of messages, maximum")),
-    Feature(
+    *fp.timed(
+        fp.Feature("rate_ratio", "1", 0.05, "abs(ln) of two topics' ratio of messages, maximum")
+    ),
+    fp.Feature(
         "identity", "1", 0.01, "share of arrays that are equal on two topics, maximum",
         shortcut=True,
     ),
@@ -74,7 +67,7 @@ class _Counts(NamedTuple):
     times_s: NDArray[np.float64]  # shape (n,), of the arrays
     before: NDArray[np.int32]  # shape (n + 1, _BINS): in each bin, in all arrays before the i-th
 
-    def shares_up_to(self, window: Window) -> NDArray[np.float64]:
+    def shares_up_to(self, window: fp.Window) -> NDArray[np.float64]:
         """Return the share of a window's numbers up to each bin, shape (_BINS,); NaN if none."""
         arrays = within(self.times_s, window)
         counts = np.cumsum(self.before[arrays.stop] - self.before[arrays.start])
@@ -86,13 +79,13 @@ class _Prepared:
     """Statistics of all arrays, and comparisons with their counterparts."""
 
     pairs: dict[str, tuple[str, str]]  # topics, by the pair's name
-    rank_difference: dict[str, Series]  # by pair, as is identity
-    identity: dict[str, Series]
-    roughness: dict[str, Series]  # by topic, as are the counts
+    rank_difference: dict[str, fp.Series]  # by pair, as is identity
+    identity: dict[str, fp.Series]
+    roughness: dict[str, fp.Series]  # by topic, as are the counts
     counts: dict[str, _Counts]
 
 
-def prepare(window: Window) -> _Prepared | Missing:
+def prepare(window: fp.Window) -> _Prepared | fp.Missing:
     """Reduce the arrays of topics of which there are several of one type."""
     prepared = _Prepared({}, {}, {}, {}, {})
     for group in _groups(window):
@@ -102,21 +95,23 @@ def prepare(window: Window) -> _Prepared | Missing:
             ranks[topic] = np.empty(len(arrays), dtype=object)
             ranks[topic][:] = each(doubled_ranks, arrays)
             rough = statistics_of_topics(window)[topic].values[:, STATISTICS.index("roughness")]
-            prepared.roughness[topic] = Series(times_s, np.ascontiguousarray(rough))
+            prepared.roughness[topic] = fp.Series(times_s, np.ascontiguousarray(rough))
             prepared.counts[topic] = _counts(times_s, arrays, low, high)
         for a, b in _compared(group):
             pair = f"{a} against {b}"
             times_s, ours, theirs = _met(group[a], group[b])
             prepared.pairs[pair] = a, b
-            prepared.rank_difference[pair] = Series(
+            prepared.rank_difference[pair] = fp.Series(
                 times_s, np.array(each(_rank_differences, ranks[a][ours], ranks[b][theirs]))
             )
             met = group[a].values[ours], group[b].values[theirs]
-            prepared.identity[pair] = Series(times_s, np.array(each(_identities, *met), np.float64))
-    return prepared if prepared.pairs else Missing("no two topics of the same type have arrays")
+            prepared.identity[pair] = fp.Series(
+                times_s, np.array(each(_identities, *met), np.float64)
+            )
+    return prepared if prepared.pairs else fp.Missing("no two topics of the same type have arrays")
 
 
-def compute(window: Window) -> Values:
+def compute(window: fp.Window) -> fp.Values:
     """Reduce to the window, and to the pair that differs most."""
     prepared: _Prepared = window.prepared
     pairs = prepared.pairs.items()
@@ -143,14 +138,14 @@ def compute(window: Window) -> Values:
     }
 
 
-@hookimpl
-def register_features() -> list[FeaturePlugin]:
+@fp.hookimpl
+def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of pairs of topics."""
     topics = {"arrays": ARRAYS}
-    return [FeaturePlugin("pairs", "pairs", FEATURES, compute, topics, prepare=prepare)]
+    return [fp.FeaturePlugin("pairs", "pairs", FEATURES, compute, topics, prepare=prepare)]
 
 
-def _groups(window: Window) -> Iterator[dict[str, Series]]:
+def _groups(window: fp.Window) -> Iterator[dict[str, fp.Series]]:
     """Yield the topics with arrays, by type, where there are two or more of one."""
     arrays = window.topics["arrays"]
     msgtypes = {topic: window.arrivals[topic].msgtype for topic in arrays}
@@ -161,7 +156,7 @@ def _groups(window: Window) -> Iterator[dict[str, Series]]:
             yield group
 
 
-def _compared(group: Mapping[str, Series]) -> Iterator[tuple[str, str]]:
+def _compared(group: Mapping[str, fp.Series]) -> Iterator[tuple[str, str]]:
     """Yield the pairs of topics to compare: all, or of many topics the most similar ones."""
     if len(group) <= _ALL_COMPARED:
         yield from combinations(group, 2)
@@ -172,7 +167,7 @@ def _compared(group: Mapping[str, Series]) -> Iterator[tuple[str, str]]:
             yield min(topic, other), max(topic, other)
 
 
-def _look(series: Series) -> tuple[float, ...]:
+def _look(series: fp.Series) -> tuple[float, ...]:
     """Return the length of a topic's arrays, their number, and the content of the first."""
     first = series.values[0].astype(np.float64)
     finite = first[np.isfinite(first)]
@@ -182,7 +177,7 @@ def _look(series: Series) -> tuple[float, ...]:
     )  # fmt: skip
 
 
-def _range(group: list[Series]) -> tuple[float, float]:
+def _range(group: list[fp.Series]) -> tuple[float, float]:
     """Return the range of the numbers on some topics, without their tails."""
     some = [array for s in group for array in s.values[:: 1 + len(s.values) // _LOOKED_AT]]
     numbers = np.concatenate(some, dtype=np.float64)
@@ -225,7 +220,7 @@ def _identities(ours: NDArray[Any], theirs: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def _met(
-    ours: Series, theirs: Series
+    ours: fp.Series, theirs: fp.Series
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Return the times of the first topic's arrays with a counterpart, and the numbers of both."""
     after = np.searchsorted(theirs.times_s, ours.times_s)
