@@ -1,1 +1,1 @@
-"""Five kinds of oracle, each calibrated like the scorer of a reference card."""
+"""Six kinds of oracle, each calibrated like the scorer of a reference card."""

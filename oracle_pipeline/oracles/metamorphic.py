@@ -1,13 +1,14 @@
-"""Metamorphic and differential oracle: compares a run with other runs of the same task.
+"""Differential and metamorphic oracles: compare a run with other runs of its task or a related one.
 
 The correct path is unknown, but the same task in the same world should give about the same outcome
-with any build. The runs of a block have equal start, goals and world: each is compared with the
-unaltered runs of its block, in units of their spread.
+with any build, settings or seed. The runs of a block have equal start, goals and world: the
+differential oracle compares each with the unaltered runs of its block, in units of their spread.
 
-Runs of a related task are compared, too. In the mirrored world, for example, the robot should turn
-right where it turned left.
+The metamorphic oracle compares it with runs of related tasks. In the mirrored world, for example,
+the robot should turn right where it turned left.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,7 +65,7 @@ _FLOORS = np.array([*[SIGNALS[name].floor for name in _NAMES] * len(_PERCENTILES
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Judge:
-    kind: "Metamorphic"
+    kind: "_Comparing"
     spread: NDArray[np.float64]
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
@@ -73,30 +74,17 @@ class _Judge:
         return np.asarray(np.nan_to_num(difference).max(axis=1), dtype=np.float64)
 
 
-class Metamorphic:
-    """Compares runs with the unaltered runs of their task, and of tasks in a relation to it.
+class _Comparing:
+    """Compares runs with unaltered normal ones of their block, in each of some relations."""
 
-    Parameters
-    ----------
-    partners : TracedRuns
-        Candidates to compare with; only unaltered normal runs are used.
-    follow_ups : TracedRuns, optional
-        Runs of the same blocks in another relation, by the column ``relation``; as for partners.
-    """
+    missing = ""  # what too few normal runs have, and what to do
 
-    name = "metamorphic"
-    asks = "a second run of each task"
-
-    def __init__(self, partners: TracedRuns, follow_ups: TracedRuns | None = None) -> None:
-        self._partners = {SAME: _unaltered(partners)}
-        if follow_ups is not None:
-            relations = follow_ups.table[RELATION].to_numpy(dtype=str)
-            for name in sorted(set(relations)):
-                self._partners[name] = _unaltered(follow_ups.where(relations == name))
+    def __init__(self, partners: Mapping[str, TracedRuns]) -> None:
+        self._partners = {name: _unaltered(runs) for name, runs in partners.items()}
         self._differences: dict[int, tuple[pd.DataFrame, NDArray[np.float64]]] = {}  # by trace
 
     def learn(self, normal: TracedRuns) -> _Judge:
-        """Learn the spread of normal runs of the same task, for each relation.
+        """Learn how far normal runs are apart, for each relation.
 
         Raises
         ------
@@ -108,8 +96,7 @@ class Metamorphic:
         compared = np.isfinite(differences).any(axis=2).sum(axis=0)
         if compared.max() < _FEWEST:
             raise KindError(
-                f"{compared.max()} normal runs have another run of the same task, {_FEWEST} are "
-                "needed; record several runs of each block, or the blocks with --relation mirrored."
+                self.missing.format(f"{compared.max()} normal runs have", f"{_FEWEST} are needed")
             )
         for name, number in zip(self._partners, compared, strict=True):
             if name != SAME and number < len(normal.traces):
@@ -157,19 +144,59 @@ class Metamorphic:
         return differences.ravel()
 
 
+class Differential(_Comparing):
+    """Compares runs with the unaltered runs of their task: other builds, settings or seeds.
+
+    Parameters
+    ----------
+    runs : TracedRuns
+        Candidates to compare with; only unaltered normal runs are used.
+    """
+
+    name = "differential"
+    asks = "a second run of each task"
+    missing = "{} another run of the same task, {}; record several runs of each block."
+
+    def __init__(self, runs: TracedRuns) -> None:
+        super().__init__({SAME: runs})
+
+
+class Metamorphic(_Comparing):
+    """Compares runs with the unaltered runs of tasks in a relation to theirs.
+
+    Parameters
+    ----------
+    follow_ups : TracedRuns
+        Runs of the same blocks, each in the relation of the column ``relation``.
+    """
+
+    name = "metamorphic"
+    asks = "each task in another relation"
+    missing = "{} a run in another relation, {}; record the blocks with --relation mirrored."
+
+    def __init__(self, follow_ups: TracedRuns) -> None:
+        relations = follow_ups.table[RELATION].to_numpy(dtype=str)
+        super().__init__(
+            {name: follow_ups.where(relations == name) for name in sorted(set(relations))}
+        )
+
+
 def _unaltered(runs: TracedRuns) -> TracedRuns:
     return runs.where(runs.normal & ~is_hard_negative(runs.table))
 
 
-def _make(material: Material) -> Metamorphic | None:
-    """Return the kind if any task was run twice, or in another relation."""
+def _differential(material: Material) -> Differential | None:
+    """Return the kind if any task was run twice."""
     plain = material.runs.block[material.runs.normal]
-    if material.follow_ups is None and len(np.unique(plain)) == len(plain):
-        return None
-    return Metamorphic(material.runs, material.follow_ups)
+    return Differential(material.runs) if len(np.unique(plain)) < len(plain) else None
+
+
+def _metamorphic(material: Material) -> Metamorphic | None:
+    """Return the kind if there are runs in another relation."""
+    return None if material.follow_ups is None else Metamorphic(material.follow_ups)
 
 
 @hookimpl
 def register_oracles() -> list[Maker]:
-    """Register the oracle that compares runs of the same task."""
-    return [_make]
+    """Register the oracles that compare runs."""
+    return [_differential, _metamorphic]

@@ -59,10 +59,10 @@ def kinds(
     """Judge runs by several kinds of oracle, side by side.
 
     The kinds are implicit (crash, abort, silence), specified (formulas of signal temporal logic),
-    invariants (learned from normal runs), metamorphic (comparison with other runs of the same
-    task) and human (answers of a person). Each kind gives p-values at the same false positive rate,
-    with whole sessions held out. `union` combines them at that rate. A root with datasets/ adds the
-    scorer of a reference card.
+    invariants (learned from normal runs), differential (comparison with other runs of the same
+    task), metamorphic (comparison with runs of a related task) and human (answers of a person).
+    Each kind gives p-values at the same false positive rate, with whole sessions held out. `union`
+    combines them at that rate. A root with datasets/ adds the scorer of a reference card.
 
     RUN_OR_BAG is a run directory, a bag, or a folder of these. Normal runs are found by their
     label; for bags without one, give a folder of normal ones with --reference.

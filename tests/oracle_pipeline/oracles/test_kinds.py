@@ -15,7 +15,7 @@ from oracle_pipeline.oracles.calibration import calibrated, union
 from oracle_pipeline.oracles.implicit import Implicit
 from oracle_pipeline.oracles.invariants import Invariants
 from oracle_pipeline.oracles.kind import RELATION, KindError, Material
-from oracle_pipeline.oracles.metamorphic import Metamorphic
+from oracle_pipeline.oracles.metamorphic import Differential, Metamorphic
 from oracle_pipeline.oracles.registry import build_kinds
 from oracle_pipeline.oracles.requirements import NAV2, Requirements, load
 from oracle_pipeline.oracles.specified import Specified
@@ -58,13 +58,13 @@ def test_each_kind_detects_its_failures(kind, altered):
 
 def test_a_run_is_compared_with_others_of_its_task():
     runs = campaign(nearest_min=-0.2, nearest_max=-0.2)
-    p = calibrated(Metamorphic(runs), runs).p
+    p = calibrated(Differential(runs), runs).p
     assert p[runs.malicious].max() <= 0.05
 
 
-def test_without_a_second_run_of_a_task_there_is_no_metamorphic_oracle():
+def test_without_a_second_run_of_a_task_there_is_no_differential_oracle():
     with pytest.raises(KindError, match="0 normal runs have another run of the same task"):
-        calibrated(Metamorphic(campaign(repeats=1)), campaign(repeats=1))
+        calibrated(Differential(campaign(repeats=1)), campaign(repeats=1))
 
 
 def turning(relation, **altered):
@@ -82,15 +82,14 @@ def turning(relation, **altered):
 @pytest.mark.parametrize("relation", ["mirrored", "shifted"])
 def test_without_repeated_tasks_a_run_in_another_relation_detects_attacks(relation):
     runs, follow_ups = turning("same", turn=0.3), turning(relation)
-    found = calibrated(Metamorphic(runs, follow_ups), runs).p
+    found = calibrated(Metamorphic(follow_ups), runs).p
     assert found[runs.malicious].max() <= 0.05
     assert (found[runs.normal] <= 0.05).mean() <= 0.1
     other = {"mirrored": "shifted", "shifted": "mirrored"}[relation]
     wrong = type(runs)(follow_ups.table.assign(**{RELATION: other}), follow_ups.traces)
     normal = runs.where(runs.normal)
     right, reversed_ = (
-        np.nanmax(np.abs(Metamorphic(runs, each).differences(normal)))
-        for each in (follow_ups, wrong)
+        np.nanmax(np.abs(Metamorphic(each).differences(normal))) for each in (follow_ups, wrong)
     )
     assert right < 0.1 < 1.0 < reversed_
 
@@ -99,7 +98,7 @@ def test_follow_up_runs_are_needed_for_all_blocks_or_none():
     runs, follow_ups = turning("same"), turning("mirrored")
     some = follow_ups.where(follow_ups.block < 22)
     with pytest.raises(KindError, match="2 of 24 normal runs have no mirrored run of their block"):
-        Metamorphic(runs, some).learn(runs.where(runs.normal))
+        Metamorphic(some).learn(runs.where(runs.normal))
 
 
 def test_false_positives_of_each_kind_and_of_the_union_are_controlled():
@@ -129,11 +128,12 @@ def test_no_run_is_judged_by_a_model_of_its_session():
 
 def test_the_table_has_a_row_for_each_kind_with_the_reason_for_missing_ones():
     runs = campaign(errors=2.0)
-    kinds = build_kinds(Material(runs, load(NAV2), {"attack|run000": True}))
+    follow_ups = type(runs)(runs.table.assign(**{RELATION: "shifted"}), runs.traces)
+    kinds = build_kinds(Material(runs, load(NAV2), {"attack|run000": True}, follow_ups))
     comparison = compare_kinds(kinds, runs)
     table = comparison.oracles.set_index("oracle")
     assert [*table.index] == [
-        "implicit", "specified", "invariants", "metamorphic", "human", UNION,
+        "implicit", "specified", "invariants", "differential", "metamorphic", "human", UNION,
     ]  # fmt: skip
     assert "all equal" in table.loc["human", "note"]
     assert table.loc["implicit", "detection_rate"] == 1.0
