@@ -153,7 +153,7 @@ def _some(reference: Reference, rows: NDArray[np.intp]) -> Reference:
 
 def _share(name: str, hits: Sequence[bool], goal: float, *, at_most: bool, remark: str = "") -> Row:
     rate = clopper_pearson(float(np.mean(hits)), len(hits))
-    interval = f"(95 %: {100 * rate.low:.2g} to {100 * rate.high:.2g} %)"
+    interval = f"(95 %: {100 * rate.low:.3g} to {100 * rate.high:.3g} %)"
     return Row(name, 100.0 * rate.value, "%", goal, at_most, f"{interval} {remark}".rstrip())
 
 
