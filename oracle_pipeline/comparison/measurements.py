@@ -36,10 +36,10 @@ def unit_of(column: str, table: pd.DataFrame) -> str:
     return field_metadata(table).get(column, {}).get("unit") or _UNITS.get(family_of(column), "1")
 
 
-def measurements(reference: Reference) -> pd.DataFrame:
+def measurements(reference: Reference, signals: Sequence[str]) -> pd.DataFrame:
     """Return the values to compare, one row per recording in the order of its table."""
     columns = [c for c in feature_columns(reference.table) if family_of(c) not in LEFT_OUT]
-    columns += signal_columns(reference.table)
+    columns += [column for column in signals if column in reference.table]
     features = reference.table[columns].reset_index(drop=True)
     if not reference.observations:
         return features

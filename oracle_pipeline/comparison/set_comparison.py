@@ -28,6 +28,7 @@ from oracle_pipeline.comparison.permutation import (
 )
 from oracle_pipeline.datasets import SIGNALS
 from oracle_pipeline.features import FeatureManager
+from oracle_pipeline.scoring.learning import common_signals, settings_among
 from oracle_pipeline.scoring.reference import Reference, read_reference, recordings_below
 
 ComparisonOutcome: TypeAlias = Literal["same", "different", "unsupported"]
@@ -141,7 +142,9 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> SetComp
     """
     for each in (first, second):
         _check_size(each)
-    values = aligned(measurements(first), measurements(second))
+    both = pd.concat([first.table, second.table]).dropna(axis=1, how="all")
+    signals = common_signals(both, settings_among(both))  # a date, or a map, is no behaviour
+    values = aligned(measurements(first, signals), measurements(second, signals))
     partners = _partners(first.table, second.table)
     if partners is not None:
         values = (values[0].iloc[partners[0]], values[1].iloc[partners[1]])

@@ -66,6 +66,14 @@ def test_a_difference_far_below_the_spread_of_a_signal_does_not_count() -> None:
     assert compare(first, second).outcome == "same"
 
 
+def test_the_level_of_a_setting_such_as_the_date_is_no_behaviour() -> None:
+    first, second = reference(np.arange(8.0)), reference(np.arange(8.0))
+    for each, day in ((first, 0.0), (second, 9.0)):
+        each.table["signals./gps/day.mean"] = day + np.arange(8.0) / 8.0
+        each.table["signals./gps/day.std"] = 1e-4
+    assert compare(first, second).outcome == "same"
+
+
 def test_a_set_does_not_differ_from_itself() -> None:
     normal = reference(np.arange(8.0))
     assert compare(normal, normal).outcome == "same"
