@@ -142,7 +142,7 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> SetComp
     """
     for each in (first, second):
         _check_size(each)
-    both = pd.concat([first.table, second.table]).dropna(axis=1, how="all")
+    both = pd.concat([first.table, second.table])
     signals = common_signals(both, settings_among(both))  # a date, or a map, is no behaviour
     values = aligned(measurements(first, signals), measurements(second, signals))
     partners = _partners(first.table, second.table)

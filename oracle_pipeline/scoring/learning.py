@@ -205,7 +205,7 @@ def settings_among(runs: pd.DataFrame) -> set[str]:
         signal, _, statistic = column.rpartition(".")
         spread = f"{signal}.std"
         if statistic == "mean" and spread in runs and not signal.endswith("/period"):
-            within, between = np.median(np.nan_to_num(runs[spread])), np.nanstd(runs[column])
+            within, between = np.median(np.nan_to_num(runs[spread])), runs[column].std(ddof=0)
             if within <= OF_SETTING * between:
                 found.add(signal)
     return found
