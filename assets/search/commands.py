@@ -113,11 +113,8 @@ def search(
     if (template is None) == (not options["topics"]):
         raise click.UsageError("Give either a TEMPLATE or --topic to vary.")
     with batch.short_errors():
-        limit, of_runs, controls = (
-            TrialBudget.parse(budget),
-            batch.campaign(options),
-            out / CONTROLS,
-        )
+        limit, of_runs = TrialBudget.parse(budget), batch.campaign(options)
+        controls = out / CONTROLS
         names = {item.name for item in fields(SearchSettings)} - {"campaign"}
         settings = SearchSettings(campaign=of_runs, **{name: options[name] for name in names})
         space = attacks(template, controls, settings)

@@ -77,7 +77,7 @@ class _Judge:
 class _Comparing:
     """Compares runs with unaltered normal ones of their block, in each of some relations."""
 
-    missing = ""  # what too few normal runs have, and what to do
+    missing: str  # what too few normal runs have, and what to do
 
     def __init__(self, partners: Mapping[str, TracedRuns]) -> None:
         self._partners = {name: _unaltered(runs) for name, runs in partners.items()}
