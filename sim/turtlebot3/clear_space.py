@@ -36,6 +36,10 @@ class ClearSpace:
         pillars = (*arena.pillars, *obstacles)
         self._pillars = np.array([(p.x, p.y, p.radius) for p in pillars]).reshape(-1, 3)
 
+    def move_last(self, x: float, y: float) -> None:
+        """Move the last additional obstacle to a place [m]."""
+        self._pillars[-1, :2] = x, y
+
     def holds(self, poses: Floats) -> bool:
         """Return whether the robot is clear of all pieces at each of some poses.
 

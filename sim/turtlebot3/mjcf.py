@@ -7,9 +7,11 @@ positions of the pieces of the world.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import starmap
 
 from sim.middleware.geometry import Pose2D
 from sim.turtlebot3.arena import HEXAGON, RING_THICKNESS, Arena, Box, Cylinder, Hexagon, Prism
+from sim.turtlebot3.pedestrian import HEIGHT_M, RADIUS_M, Walk
 
 STEP_NS = 5_000_000
 
@@ -20,7 +22,8 @@ WALL_THICKNESS = 0.15  # of the walls around a drawn arena [m]
 # A stiffer motor would reach its set-point within one step, and kick the robot off the floor.
 _MOTOR_GAIN = 0.2  # [N m s/rad]
 
-STATIC, ROBOT, FLOOR = 0, 1, 2  # geom groups
+AROUND, ROBOT, FLOOR = 0, 1, 2  # geom groups
+PERSON = "person"  # the only piece that moves
 # A wheel touches the floor at one point, as a sphere does: the two edges of a cylinder would slip
 # against each other in every turn. The cylinder touches the pieces of the world.
 _TREAD_BIT = 2
@@ -36,15 +39,18 @@ class WorldParameters:
     obstacles: Sequence[Cylinder] = ()  # real ones that are on no map
     wheels: tuple[float, float] = (1.0, 1.0)  # radius of left and right, relative to the model
     arena: Arena = HEXAGON
+    walk: Walk | None = None  # of a person
 
 
 def pieces(parameters: WorldParameters) -> dict[str, str]:
-    """Return name -> geoms of every piece of the world."""
+    """Return name -> geoms of every piece of the world; a person is the last, if there is one."""
     arena = parameters.arena
+    person = Cylinder(PERSON, 0.0, 0.0, RADIUS_M, HEIGHT_M)
     return {
         **{block.name: _block(block) for block in arena.blocks},
         arena.boundary.name: _wall_around(arena.boundary),
         **{c.name: _cylinder(c) for c in (*arena.pillars, *parameters.obstacles)},
+        **({PERSON: _cylinder(person)} if parameters.walk else {}),
     }
 
 
@@ -72,7 +78,7 @@ def mjcf(parameters: WorldParameters, *, with_pieces: bool = True) -> str:
   <worldbody>
     <geom name="floor" type="plane" size="50 50 1" group="{FLOOR}"
           contype="{_TREAD_BIT}" conaffinity="{_TREAD_BIT}"/>
-    {"".join(f'<body name="{name}">{geoms}</body>' for name, geoms in around.items())}
+    {"".join(starmap(_piece, around.items()))}
     <body name="base_footprint">
       <freejoint/>
       <geom class="robot" type="box" size="0.1325 0.1325 0.0445" pos="-0.064 0 0.048"
@@ -100,6 +106,11 @@ def mjcf(parameters: WorldParameters, *, with_pieces: bool = True) -> str:
     {"".join(map(_touch_sensor, around))}
   </sensor>
 </mujoco>"""
+
+
+def _piece(name: str, geoms: str) -> str:
+    moves = ' mocap="true"' if name == PERSON else ""
+    return f'<body name="{name}"{moves}>{geoms}</body>'
 
 
 def _wheel(name: str, y: float, size: float) -> str:
@@ -173,7 +184,7 @@ def _box(
     size = " ".join(map(str, half))
     return (
         f'<geom name="{name}" type="box" pos="{x} {y} {z}" size="{size}" '
-        f'euler="0 0 {degrees}" group="{STATIC}"/>'
+        f'euler="0 0 {degrees}" group="{AROUND}"/>'
     )
 
 
@@ -181,5 +192,5 @@ def _cylinder(c: Cylinder) -> str:
     half = c.height / 2.0
     return (
         f'<geom name="{c.name}" type="cylinder" pos="{c.x} {c.y} {half}" '
-        f'size="{c.radius} {half}" group="{STATIC}"/>'
+        f'size="{c.radius} {half}" group="{AROUND}"/>'
     )

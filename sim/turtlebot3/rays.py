@@ -43,6 +43,10 @@ class Rays:
         self._pieces = np.array(rows, np.float64).reshape(-1, 16)
         self._is_box = np.array([p.is_box for p in pieces], np.bool_)
 
+    def move_last(self, x: float, y: float) -> None:
+        """Move the last piece to a place [m]."""
+        self._pieces[-1, :2] = x, y
+
     def distances(
         self, origin: tuple[float, float, float], cosines: Floats, sines: Floats, range_max: float
     ) -> Floats:

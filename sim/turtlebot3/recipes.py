@@ -21,6 +21,7 @@ class Conditions:
 
     obstacle: bool = False  # a real cylinder, on no map, at the place of the block's fake object
     speed: float = 1.0  # share of its maximal speed that the robot may drive and turn at
+    pedestrian: bool = False  # a person walks to and fro, across that place
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +88,8 @@ class TurtleBot3Recipe(Recipe):
     def to_dict(self) -> dict[str, Any]:
         """Return the recipe as JSON values.
 
-        It holds Nav2's parameters and the relation only if they are set, and options that earlier
-        releases had, so their recipes stay valid.
+        It holds Nav2's parameters, the relation and a pedestrian only if they are set, and options
+        that earlier releases had, so their recipes stay valid.
         """
         usual = asdict(Options())
         document = Recipe.to_dict(self)
@@ -96,6 +97,8 @@ class TurtleBot3Recipe(Recipe):
         for name in ("nav2_params", "relation"):
             if options[name] == usual[name]:
                 del options[name]
+        if not self.conditions.pedestrian:
+            del document["conditions"]["pedestrian"]
         return document
 
     @classmethod

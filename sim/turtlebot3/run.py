@@ -24,6 +24,7 @@ from sim.turtlebot3.arena import Cylinder
 from sim.turtlebot3.map import WORLD_IN_MAP, occupancy_map
 from sim.turtlebot3.mjcf import WorldParameters
 from sim.turtlebot3.nodes import add_robot
+from sim.turtlebot3.pedestrian import draw_walk
 from sim.turtlebot3.recipes import TurtleBot3Recipe
 from sim.turtlebot3.sessions import estimated_start, load, mapped, sensor_errors
 from sim.turtlebot3.world import World
@@ -171,19 +172,22 @@ class TurtleBot3Run(GoalRun):
 def _world_parameters(recipe: TurtleBot3Recipe) -> WorldParameters:
     """Return the parameters of the physics for a run, in the world frame."""
     to_world = WORLD_IN_MAP.inverse()
-    obstacles = []
+    start, drawn = to_world.compose(recipe.start), recipe.fake_object
+    there = to_world.compose(Pose2D(drawn.x, drawn.y))
+    obstacles, walk = [], None
     if recipe.conditions.obstacle:
-        drawn = recipe.fake_object
-        there = to_world.compose(Pose2D(drawn.x, drawn.y))
         obstacles = [Cylinder("obstacle", there.x, there.y, drawn.radius)]
+    if recipe.conditions.pedestrian:
+        walk = draw_walk(recipe.generator("pedestrian"), recipe.arena, start, there.x, there.y)
     session = recipe.session
     return WorldParameters(
-        to_world.compose(recipe.start),
+        start,
         session.friction,
         session.mass,
         obstacles,
         (session.wheel_left, session.wheel_right),
         recipe.arena,
+        walk,
     )
 
 

@@ -18,6 +18,7 @@ TURTLEBOT3 = Testbed(
         "benign_drop": {},
         "benign_obstacle": {"obstacle": True},
         "benign_slow": {"speed": 0.6},
+        "benign_pedestrian": {"pedestrian": True},
     },
     recipe=TurtleBot3Recipe,
     draw=later("sim.turtlebot3.drawing:draw"),

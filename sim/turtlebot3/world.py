@@ -16,8 +16,10 @@ from mujoco.rollout import Rollout
 from oracle_pipeline.bags.jit import jit
 from sim.arrays import Floats
 from sim.middleware.geometry import Pose2D, quaternion_yaw, wrapped
+from sim.turtlebot3.arena import Cylinder
 from sim.turtlebot3.clear_space import ClearSpace
-from sim.turtlebot3.mjcf import STATIC, STEP_NS, WorldParameters, mjcf, pieces
+from sim.turtlebot3.mjcf import AROUND, PERSON, STEP_NS, WorldParameters, mjcf, pieces
+from sim.turtlebot3.pedestrian import RADIUS_M, Pedestrian
 from sim.turtlebot3.rays import Geom, Rays
 from sim.turtlebot3.wheel_odometry import Wheels
 
@@ -26,6 +28,8 @@ _EPISODE_GAP_NS = 1_000_000_000  # a robot that scrapes along a wall touches it 
 # A state is time, positions (robot: x, y, z, quaternion w, x, y, z; wheels) and their speeds.
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _POSE, _QUATERNION = np.s_[1:8], np.s_[4:8]
+# An input is the speeds of the motors, and the place of a person.
+_INPUT = mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_MOCAP_POS.value
 # Sensors: gyro, accelerometer, and per piece of the world how often the robot touches it.
 _GYRO, _ACCELEROMETER, _INERTIAL, _TOUCHES = np.s_[:3], np.s_[3:6], np.s_[:6], np.s_[6:]
 
@@ -54,12 +58,13 @@ class _Physics(NamedTuple):
     models: list[mujoco.MjModel]
     datas: list[mujoco.MjData]
     warm_start: Floats  # of its solver; a view of the state
+    inputs: int  # numbers of an input
 
     @classmethod
     def of(cls, description: str) -> "_Physics":
         model = mujoco.MjModel.from_xml_string(description)
         data = mujoco.MjData(model)
-        return cls([model], [data], data.qacc_warmstart)
+        return cls([model], [data], data.qacc_warmstart, mujoco.mj_stateSize(model, _INPUT))
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +78,10 @@ class _Touch:
 class World:
     """The world with the robot.
 
-    Only the command to the wheels acts on the robot. So the physics runs in blocks, and ahead of
-    the clock if a sensor needs several samples at once. While the robot is clear of all pieces,
-    it is simulated without them, which gives the same states in two thirds of the time.
+    Only the command to the wheels, and a person, act on the robot. So the physics runs in blocks,
+    and ahead of the clock if a sensor needs several samples at once; a person stands still within
+    a block. While the robot is clear of all pieces, it is simulated without them, which gives the
+    same states in two thirds of the time.
 
     Parameters
     ----------
@@ -89,7 +95,9 @@ class World:
         (self._model,), (self._data,) = self._whole.models, self._whole.datas
         self._arena = parameters.arena
         self._obstacles = parameters.obstacles
-        self._clear = ClearSpace(parameters.arena, parameters.obstacles)
+        self._pedestrian = Pedestrian(parameters.walk) if parameters.walk else None
+        person = [Cylinder(PERSON, 0.0, 0.0, RADIUS_M)] if parameters.walk else []
+        self._clear = ClearSpace(parameters.arena, [*parameters.obstacles, *person])
         self._is_clear = False  # whether the robot is known to be clear of all pieces
         start = parameters.start
         self._data.qpos[:7] = (
@@ -97,7 +105,7 @@ class World:
         )  # fmt: skip
         mujoco.mj_forward(self._model, self._data)
         self._rollout = Rollout(nthread=0)
-        self._command = np.zeros(self._model.nu)
+        self._input = np.zeros(self._whole.inputs)
         self._now_ns = 0
         self._motion_ns = -1  # of the motion below
         self._motion = _Motion(start, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
@@ -112,6 +120,8 @@ class World:
         self._last_touch_ns: dict[str, int] = {}
         self.touches: list[_Touch] = []
         self._rays = Rays(self._seen_by_lidars())
+        if self._pedestrian:
+            self._walk(self._pedestrian, 0)
 
     @property
     def time_ns(self) -> int:
@@ -127,6 +137,8 @@ class World:
         self._now_ns = time_ns
         if time_ns >= self._unknown_ns:
             self._simulate_until(time_ns)
+        if self._pedestrian:
+            self._walk(self._pedestrian, time_ns)
 
     def command_wheels(self, left: float, right: float) -> None:
         """Set the speeds that the wheel motors hold from now on [rad/s].
@@ -138,7 +150,7 @@ class World:
         """
         if self._row < len(self._states) - 1:
             raise ValueError(f"at {self._now_ns} ns the physics has gone on with the last command")
-        self._command[0], self._command[1] = left, right
+        self._input[0], self._input[1] = left, right
 
     @property
     def pose(self) -> Pose2D:
@@ -208,10 +220,19 @@ class World:
         origin = (sensor.x, sensor.y, height)
         return self._rays.distances(origin, np.cos(angles), np.sin(angles), range_max)
 
+    def _walk(self, pedestrian: Pedestrian, time_ns: int) -> None:
+        """Let the person walk on, for the sensors and for the physics."""
+        pedestrian.walk_until(time_ns, self.pose)
+        place = pedestrian.position
+        self._rays.move_last(*place)
+        self._clear.move_last(*place)
+        self._input[self._model.nu :][:2] = place
+        self._is_clear = False
+
     def _seen_by_lidars(self) -> Iterator[Geom]:
-        """Yield the geoms of the pieces of the world; none of them moves."""
+        """Yield the geoms of the pieces of the world."""
         model, data = self._model, self._data
-        for geom in np.flatnonzero(model.geom_group == STATIC).tolist():
+        for geom in np.flatnonzero(model.geom_group == AROUND).tolist():
             is_box = bool(model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX)
             yield Geom(data.geom_xpos[geom], data.geom_xmat[geom], model.geom_size[geom], is_box)
 
@@ -249,12 +270,12 @@ class World:
 
     def _run(self, physics: _Physics, states: Floats, measured: Floats) -> None:
         """Fill in states and sensors of the next steps by one of the two models."""
-        commands = np.empty((1, len(states), len(self._command)))
-        commands[:] = self._command
+        inputs = np.empty((1, len(states), physics.inputs))
+        inputs[:] = self._input[: physics.inputs]
         self._rollout.rollout(
-            physics.models, physics.datas, self._states[-1:], commands, skip_checks=True,
-            nstep=len(states), initial_warmstart=self._warm_start, state=states[np.newaxis],
-            sensordata=measured[np.newaxis],
+            physics.models, physics.datas, self._states[-1:], inputs, control_spec=_INPUT,
+            skip_checks=True, nstep=len(states), initial_warmstart=self._warm_start,
+            state=states[np.newaxis], sensordata=measured[np.newaxis],
         )  # fmt: skip
 
     def _watch_contacts(self, first: int, touching: Floats) -> None:

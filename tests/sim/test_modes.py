@@ -87,12 +87,13 @@ def test_the_nodes_of_a_pair_have_equal_subscriptions_and_graphs(pair):
     assert control.activation == attack.activation
 
 
-def test_hard_negatives_are_normal_and_two_of_them_change_the_testbed():
+def test_hard_negatives_are_normal_and_three_of_them_change_the_testbed():
     hard = {name: mode for name, mode in modes().items() if name.startswith("benign_")}
     assert {mode.label for mode in hard.values()} == {"normal"}
     assert {name: mode.conditions for name, mode in hard.items() if mode.conditions} == {
         "benign_obstacle": {"obstacle": True},
         "benign_slow": {"speed": 0.6},
+        "benign_pedestrian": {"pedestrian": True},
     }
 
 
@@ -102,7 +103,7 @@ def test_scenarios_of_the_users_folder_are_modes_before_air_traffic(folder):
         OWN.format(name="nearest", by=0.5) + "---\n" + OWN.format(name="far", by=2.0)
     )
     names = list(modes())
-    assert names[names.index("benign_slow") + 1 : names.index("atc_normal")] == [
+    assert names[names.index("benign_pedestrian") + 1 : names.index("atc_normal")] == [
         "nearer", "nearest", "far"
     ]  # fmt: skip
     assert modes()["nearer"].label == "malicious"
