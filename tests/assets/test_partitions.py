@@ -36,10 +36,10 @@ def test_an_invalid_count_is_an_error_with_its_value(value: str) -> None:
     ("text", "first", "count"),
     [
         ("", "lidar_passthrough", len(modes())),
-        ("turtlebot3", "lidar_passthrough", 14),
+        ("turtlebot3", "lidar_passthrough", 15),
         ("atc", "atc_normal", 17),
         ("delayed_*_shadow", "delayed_fakeobject_shadow", 1),
-        ("benign_*, fake_object", "fake_object", 6),
+        ("benign_*, fake_object", "fake_object", 7),
     ],
 )
 def test_a_choice_of_modes_keeps_their_order(text: str, first: str, count: int) -> None:

@@ -32,7 +32,7 @@ from sim.nav2.parameters import named_values
 from tools.bench.figures import Row
 
 SEED, USUAL, RUNS, BLOCKS = 360_001, "usual", 420, 100
-REQUESTS, LEVEL = 200, 0.01
+REQUESTS, LEVEL = 200, 0.005  # as action.yml
 SIZES = (10, 40)  # recordings of each set, or pairs
 TURTLEBOT3, CRAZYFLIE, ARM = "lidar_passthrough_odom", "cf_normal", "arm_normal"  # modes
 
