@@ -11,6 +11,10 @@ from sim.fuzzing.scenario import Key, Scenario
 from sim.fuzzing.value_types import Message, message_type
 
 MAIN = "main"  # the name of the main topic beside those of ``also``
+_IN_PLACE_ONLY = {
+    "to": "receivers can be chosen only for a topic that is altered in place",
+    "qos": "what a publisher offers can be changed only without a node in between",
+}
 
 
 def type_of(scenario: Scenario, name: str, key: Key) -> Message:
@@ -75,18 +79,11 @@ def _check_altered(
                 raise scenario.error(
                     (*key, "output"), "expected all topics to be altered in place, or none"
                 )
-            if "to" in spec and not _is_in_place(spec):
-                raise scenario.error(
-                    (*key, "to"),
-                    f"expected the output to be the input, {spec['input']}: receivers can be "
-                    "chosen only for a topic that is altered in place",
-                )
-            if "qos" in spec and not _is_in_place(spec):
-                raise scenario.error(
-                    (*key, "qos"),
-                    f"expected the output to be the input, {spec['input']}: what a publisher "
-                    "offers can be changed only without a node in between",
-                )
+            for name, why in _IN_PLACE_ONLY.items():
+                if name in spec and not _is_in_place(spec):
+                    raise scenario.error(
+                        (*key, name), f"expected the output to be the input, {spec['input']}: {why}"
+                    )
         inputs.append(spec["input"])
 
 
