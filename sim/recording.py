@@ -25,7 +25,7 @@ from oracle_pipeline.bags.qos_profiles import is_latched, is_reliable
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.bags.writer import BagWriter
 from sim.middleware import qos
-from sim.middleware.domain import Domain, Offer
+from sim.middleware.domain import Domain, Offers
 from sim.middleware.endpoints import Publisher, Subscription
 from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.node import Node
@@ -209,18 +209,16 @@ class GraphRecorder:
         stay inside the process, so their traffic is 0.
         """
         graph: RosGraph = run.copy()
-        kinds: tuple[tuple[VertexKind, Iterator[Offer]], ...] = (
-            ("service", self._domain.services()),
-            ("action", self._domain.actions()),
-        )
+        kinds: tuple[tuple[VertexKind, Offers], ...]
+        kinds = ("service", self._domain.services), ("action", self._domain.actions)
         for kind, offers in kinds:
-            for offer in offers:
+            for offer, clients in offers:
                 if is_hidden(offer.name):  # the services of an action, which has a vertex itself
                     continue
                 vertex = vertex_id(kind, offer.name)
                 graph.add_node(vertex, kind=kind, type=offer.type, label=offer.name)
-                add_traffic(graph, vertex, vertex_id("node", offer.server), 0, 0)
-                for client in offer.clients:
+                add_traffic(graph, vertex, vertex_id("node", offer.node), 0, 0)
+                for client in clients:
                     add_traffic(graph, vertex_id("node", client), vertex, 0, 0)
         return graph
 

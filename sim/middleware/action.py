@@ -139,7 +139,7 @@ class ActionServer:
         self._status = node.create_publisher(
             "action_msgs/msg/GoalStatusArray", f"{name}/_action/status", qos.LATCHED
         )
-        node.domain.add_action_server(Service(node.name, name, action_type, self))
+        node.domain.actions.add(Service(node.name, name, action_type, self))
         for service, kind in (("send_goal", "SendGoal"), ("get_result", "GetResult")):
             node.create_service(f"{action_type}_{kind}", f"{name}/_action/{service}", self._direct)
         node.create_service(
@@ -199,7 +199,7 @@ class ActionClient:
         node.create_subscription(
             "action_msgs/msg/GoalStatusArray", f"{name}/_action/status", None, qos.LATCHED
         )
-        node.domain.add_action_client(node.name, name, action_type)
+        node.domain.actions.add_client(node.name, name)
 
     def send_goal(
         self,
@@ -212,12 +212,12 @@ class ActionClient:
         Raises
         ------
         LookupError
-            If no node serves the action.
+            If no node offers the action.
         """
         self._sent += 1
         # The goal id depends only on the client, the action and the number of former goals.
         goal_id = uuid.uuid5(uuid.NAMESPACE_URL, f"{self._node.name}{self._name}#{self._sent}")
-        server: ActionServer = self._node.domain.action_server(self._name)
+        server: ActionServer = self._node.domain.actions[self._name].handler
         return server.accept(goal, goal_id.bytes, _Callbacks(on_feedback, on_result))
 
 

@@ -6,9 +6,9 @@ through ``node``; delivery is in ``endpoints``.
 
 import functools
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from rosbags.interfaces import Qos
 
@@ -31,13 +31,39 @@ class Service:
     handler: Any  # the function of a service, the server of an action
 
 
-class Offer(NamedTuple):
-    """A service or an action: its name and type, the node that offers it, and its clients."""
+class Offers:
+    """The services of all nodes, or their actions, and the nodes that call them.
 
-    name: str
-    type: str
-    server: str
-    clients: list[str]
+    Parameters
+    ----------
+    kind
+        ``service`` or ``action``.
+    """
+
+    def __init__(self, kind: str) -> None:
+        self._kind = kind
+        self._services: dict[str, Service] = {}
+        self._clients: list[tuple[str, str]] = []  # node, and name of what it calls
+
+    def add(self, service: Service) -> None:
+        """Register a service by its full name."""
+        if service.name in self._services:
+            raise ValueError(f"{self._kind} {service.name} is offered twice")
+        self._services[service.name] = service
+
+    def add_client(self, node: str, name: str) -> None:
+        """Register a node as a client; its service may appear later."""
+        self._clients.append((node, name))
+
+    def __getitem__(self, name: str) -> Service:
+        try:
+            return self._services[name]
+        except KeyError:
+            raise LookupError(f"no node offers the {self._kind} {name}") from None
+
+    def __iter__(self) -> Iterator[tuple[Service, list[str]]]:
+        for service in self._services.values():
+            yield service, [node for node, name in self._clients if name == service.name]
 
 
 class Domain:
@@ -63,10 +89,8 @@ class Domain:
         self._publishers: dict[str, list[Publisher]] = {}  # by topic
         self._subscriptions: dict[str, list[Subscription]] = {}  # by topic
         self._nodes: dict[str, None] = {}
-        self._services: dict[str, Service] = {}
-        self._clients: list[tuple[str, str, str]] = []  # node, service, type
-        self._actions: dict[str, Service] = {}  # by action
-        self._action_clients: list[tuple[str, str, str]] = []  # node, action, type
+        self.services = Offers("service")  # those of actions included
+        self.actions = Offers("action")
 
     # -- making endpoints (called by Node) -------------------------------------------------
 
@@ -98,41 +122,9 @@ class Domain:
             if compatible(publisher.qos, subscription.qos):
                 publisher.connect(subscription)
 
-    def add_service(self, service: Service) -> None:
-        """Register a service by its full name."""
-        if service.name in self._services:
-            raise ValueError(f"service {service.name} is offered twice")
-        self._services[service.name] = service
-
-    def add_client(self, node: str, name: str, srvtype: str) -> None:
-        """Register a node as a client of a service."""
-        self._clients.append((node, name, srvtype))
-
-    def add_action_server(self, action: Service) -> None:
-        """Register the server of an action."""
-        self._actions[action.name] = action
-
-    def add_action_client(self, node: str, name: str, action_type: str) -> None:
-        """Register a node as a client of an action."""
-        self._action_clients.append((node, name, action_type))
-
     def add_parameter(self, parameter: NodeParameter) -> None:
         """Register a parameter that others may set."""
         self.parameters[parameter.node, parameter.name] = parameter
-
-    def service(self, name: str) -> Service:
-        """Return an existing service."""
-        try:
-            return self._services[name]
-        except KeyError:
-            raise LookupError(f"no node offers the service {name}") from None
-
-    def action_server(self, name: str) -> Any:
-        """Return the server of an existing action."""
-        try:
-            return self._actions[name].handler
-        except KeyError:
-            raise LookupError(f"no node serves the action {name}") from None
 
     def _declare(self, topic: str, msgtype: str) -> None:
         declared = self.topics.setdefault(topic, msgtype)
@@ -154,22 +146,6 @@ class Domain:
     def subscriptions(self, topic: str | None = None) -> Iterator[Subscription]:
         """Yield the subscriptions of one topic, or of all."""
         yield from _endpoints(self._subscriptions, topic)
-
-    def services(self) -> Iterator[Offer]:
-        """Yield the services of all nodes, those of actions included."""
-        return _offers(self._services, self._clients)
-
-    def actions(self) -> Iterator[Offer]:
-        """Yield the actions of all nodes."""
-        return _offers(self._actions, self._action_clients)
-
-
-def _offers(
-    offered: Mapping[str, Service], clients: Sequence[tuple[str, str, str]]
-) -> Iterator[Offer]:
-    for each in offered.values():
-        its = [node for node, name, _ in clients if name == each.name]
-        yield Offer(each.name, each.type, each.node, its)
 
 
 def _endpoints(by_topic: Mapping[str, list[_Endpoint]], topic: str | None) -> Iterator[_Endpoint]:

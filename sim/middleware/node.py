@@ -117,11 +117,9 @@ class Node:
         first_ns = self.now_ns + (period_ns if phase_ns is None else phase_ns)
         return self.domain.executor.call_every(period_ns, callback, first_ns)
 
-    def create_service(self, srvtype: str, name: str, handler: Callable[[Any], Any]) -> Service:
+    def create_service(self, srvtype: str, name: str, handler: Callable[[Any], Any]) -> None:
         """Offer ``handler(request) -> response`` to other nodes."""
-        service = Service(self.name, name, srvtype, handler)
-        self.domain.add_service(service)
-        return service
+        self.domain.services.add(Service(self.name, name, srvtype, handler))
 
     def declare_parameter(
         self,
@@ -136,9 +134,9 @@ class Node:
         parameter = NodeParameter(self.name, name, value, checked, changed, self._parameter_events)
         self.domain.add_parameter(parameter)
 
-    def create_client(self, srvtype: str, name: str) -> "Client":
+    def create_client(self, name: str) -> "Client":
         """Return a client of a service."""
-        self.domain.add_client(self.name, name, srvtype)
+        self.domain.services.add_client(self.name, name)
         return Client(self, name)
 
     def call_later(self, delay_ns: int, callback: Callable[..., None], *arguments: Any) -> None:
@@ -178,7 +176,7 @@ class Client:
         LookupError
             If no node offers the service.
         """
-        service = self._node.domain.service(self._name)
+        service = self._node.domain.services[self._name]
         self._node.call_later(0, lambda: done(service.handler(request)))
 
 

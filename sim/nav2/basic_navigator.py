@@ -4,19 +4,20 @@ It is ``BasicNavigator`` of ``nav2_simple_commander``, which opens a client for 
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from oracle_pipeline.bags.types import message_class
 from sim.goal_progress import GoalOutcome, GoalProgress
 from sim.middleware import qos
-from sim.middleware.action import ActionClient, GoalHandle, GoalStatus
+from sim.middleware.action import GoalHandle, GoalStatus
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND, Timer
 from sim.middleware.geometry import Pose2D
 from sim.middleware.node import Node
 from sim.middleware.stamps import header
+from sim.nav2 import actions
 from sim.nav2.messages import pose_message, pose_stamped
 
 _NavigateToPose = message_class("nav2_msgs/action/NavigateToPose_Goal")
@@ -25,28 +26,16 @@ _PoseWithCovarianceStamped = message_class("geometry_msgs/msg/PoseWithCovariance
 
 
 _OTHER_ACTIONS = (
-    ("navigate_through_poses", "NavigateThroughPoses"),
-    ("follow_waypoints", "FollowWaypoints"),
-    ("follow_path", "FollowPath"),
-    ("compute_path_to_pose", "ComputePathToPose"),
-    ("compute_path_through_poses", "ComputePathThroughPoses"),
-    ("smooth_path", "SmoothPath"),
-    ("spin", "Spin"),
-    ("backup", "BackUp"),
-    ("assisted_teleop", "AssistedTeleop"),
+    *("navigate_through_poses", "follow_waypoints", "follow_path", "compute_path_to_pose"),
+    *("compute_path_through_poses", "smooth_path", "spin", "backup", "assisted_teleop"),
 )
 _SERVICES = (
-    ("LoadMap", "/map_server/load_map"),
-    ("ClearEntireCostmap", "/global_costmap/clear_entirely_global_costmap"),
-    ("ClearEntireCostmap", "/local_costmap/clear_entirely_local_costmap"),
-    ("GetCostmap", "/global_costmap/get_costmap"),
-    ("GetCostmap", "/local_costmap/get_costmap"),
+    "/map_server/load_map",
+    "/global_costmap/clear_entirely_global_costmap",
+    "/local_costmap/clear_entirely_local_costmap",
+    "/global_costmap/get_costmap",
+    "/local_costmap/get_costmap",
 )
-_OUTCOMES: dict[GoalStatus, GoalOutcome] = {
-    GoalStatus.SUCCEEDED: "succeeded",
-    GoalStatus.ABORTED: "aborted",
-    GoalStatus.CANCELED: "canceled",
-}
 
 
 class BasicNavigator(Node):
@@ -76,11 +65,11 @@ class BasicNavigator(Node):
             self._on_amcl_pose,
             qos.LATCHED,
         )
-        self._client = ActionClient(self, "nav2_msgs/action/NavigateToPose", "/navigate_to_pose")
-        for name, action in _OTHER_ACTIONS:
-            ActionClient(self, f"nav2_msgs/action/{action}", f"/{name}")
-        for srvtype, service in _SERVICES:
-            self.create_client(f"nav2_msgs/srv/{srvtype}", service)
+        self._client = actions.client(self, "navigate_to_pose")
+        for action in _OTHER_ACTIONS:
+            actions.client(self, action)
+        for service in _SERVICES:
+            self.create_client(service)
 
     def set_initial_pose(self, pose: Pose2D) -> None:
         """Publish the robot's pose in the map once a second, until AMCL answers."""
@@ -125,7 +114,7 @@ class BasicNavigator(Node):
             result.number_of_recoveries = int(feedback.number_of_recoveries)
 
         def on_result(status: GoalStatus, _result: Any) -> None:
-            result.end(self.now_ns, _OUTCOMES[status])
+            result.end(self.now_ns, cast(GoalOutcome, status.name.lower()))
             self.follow(others if status is GoalStatus.SUCCEEDED else [], on_done, on_accepted)
 
         pose = pose_stamped(self.now_ns, "map", goal.x, goal.y, goal.yaw)

@@ -20,8 +20,9 @@ from sim.middleware.executor import SECOND, Timer
 from sim.middleware.geometry import Pose2D, wrap_angle
 from sim.middleware.stamps import duration_message, stamp_ns
 from sim.middleware.tf import TransformBuffer, TransformError
+from sim.nav2.actions import leave_unserved
 from sim.nav2.costmap import LETHAL, Costmap2D, footprint_cost
-from sim.nav2.lifecycle import LifecycleNode, not_served
+from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.messages import TWIST, twist_message
 
 _BackUpFeedback = message_class("nav2_msgs/action/BackUp_Feedback")
@@ -74,8 +75,27 @@ class Surroundings:
         except TransformError:
             return None
 
-    def is_free(self, pose: Pose2D) -> bool:
-        """Return whether the robot's outline at ``pose`` touches no obstacle or unknown space."""
+    def is_clear(self, speed: float, way: float, place: Callable[[float], Pose2D]) -> bool:
+        """Return whether the robot's outline will touch no obstacle or unknown space.
+
+        Parameters
+        ----------
+        speed
+            Of the robot, driving or turning.
+        way
+            Where it is farther away than this, it is not tested.
+        place
+            Returns where the robot is after a part of its way.
+        """
+        for cycle in range(int(CYCLE_HZ * LOOK_AHEAD_S)):
+            part = speed * (cycle / CYCLE_HZ)
+            if way <= abs(part):
+                break
+            if not self._is_free(place(part)):
+                return False
+        return True
+
+    def _is_free(self, pose: Pose2D) -> bool:
         return self._grid is not None and footprint_cost(self._grid, pose) < LETHAL
 
 
@@ -197,20 +217,13 @@ class Spin(_Behavior):
         speed = math.sqrt(2.0 * ROTATIONAL_ACC_LIM * remaining)
         speed = min(max(speed, MIN_ROTATIONAL_VEL), MAX_ROTATIONAL_VEL)
         velocity = math.copysign(speed, self._target)
-        if not self._is_clear(velocity, pose):
+        # Like Nav2, this looks ahead by the angle turned so far, not by the one that remains.
+        if not self.surroundings.is_clear(
+            velocity, abs(self._turned), lambda angle: Pose2D(pose.x, pose.y, pose.yaw + angle)
+        ):
             self.node.warn("Collision Ahead - Exiting Spin")
             return BehaviorStep(BehaviorStatus.FAILED, feedback=feedback)
         return BehaviorStep(BehaviorStatus.RUNNING, angular=velocity, feedback=feedback)
-
-    def _is_clear(self, velocity: float, pose: Pose2D) -> bool:
-        # Like Nav2, this looks ahead by the angle turned so far, not by the one that remains.
-        for seconds in _look_ahead():
-            change = velocity * seconds
-            if abs(self._turned) <= abs(change):
-                break
-            if not self.surroundings.is_free(Pose2D(pose.x, pose.y, pose.yaw + change)):
-                return False
-        return True
 
 
 class BackUp(_Behavior):
@@ -234,19 +247,13 @@ class BackUp(_Behavior):
         feedback = _BackUpFeedback(driven)
         if driven >= abs(self._distance):
             return BehaviorStep(BehaviorStatus.SUCCEEDED, feedback=feedback)
-        if not self._is_clear(abs(self._distance) - driven, pose):
+        remaining = abs(self._distance) - driven
+        if not self.surroundings.is_clear(
+            self._speed, remaining, lambda way: pose.compose(Pose2D(way))
+        ):
             self.node.warn(f"Collision Ahead - Exiting {self.action}")
             return BehaviorStep(BehaviorStatus.FAILED, feedback=feedback)
         return BehaviorStep(BehaviorStatus.RUNNING, linear=self._speed, feedback=feedback)
-
-    def _is_clear(self, remaining: float, pose: Pose2D) -> bool:
-        for seconds in _look_ahead():
-            change = self._speed * seconds
-            if remaining <= abs(change):
-                break
-            if not self.surroundings.is_free(pose.compose(Pose2D(change))):
-                return False
-        return True
 
 
 class Wait(_Behavior):
@@ -308,15 +315,7 @@ class BehaviorServer(LifecycleNode):
         )
         Spin(self, self._surroundings)
         BackUp(self, self._surroundings)
-        for name, action in (
-            ("drive_on_heading", "DriveOnHeading"),
-            ("assisted_teleop", "AssistedTeleop"),
-        ):
+        for name in ("drive_on_heading", "assisted_teleop"):
             self.create_publisher(TWIST, "/cmd_vel", qos.RELIABLE)
-            ActionServer(self, f"nav2_msgs/action/{action}", f"/{name}", not_served)
+            leave_unserved(self, [name])
         Wait(self, self._surroundings)
-
-
-def _look_ahead() -> list[float]:
-    """Return the times at which a behaviour checks for obstacles [s]."""
-    return [cycle / CYCLE_HZ for cycle in range(int(CYCLE_HZ * LOOK_AHEAD_S))]

@@ -9,12 +9,14 @@ from typing import Any
 
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
-from sim.middleware.action import ActionClient, ActionServer, GoalHandle, GoalStatus
+from sim.middleware.action import ActionClient, GoalHandle, GoalStatus
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.node import Node
 from sim.middleware.stamps import duration_message, time_message
 from sim.middleware.tf import TransformBuffer, TransformError
+from sim.nav2 import actions
+from sim.nav2.actions import SimpleActionServer
 from sim.nav2.behavior_tree import (
     NodeStatus,
     PipelineSequence,
@@ -26,7 +28,7 @@ from sim.nav2.behavior_tree import (
     TreeNode,
 )
 from sim.nav2.behavior_tree_leaves import ActionNode, Condition, ServiceNode
-from sim.nav2.lifecycle import LifecycleNode, not_served
+from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.messages import pose_stamped
 from sim.nav2.paths import Poses, length_ahead, path_poses
 
@@ -64,26 +66,20 @@ class _RclcppNode(Node):
     navigator
         ``navigate_to_pose`` or ``navigate_through_poses``.
     planner_action
-        Name and type of the planner's action that the tree calls.
+        The planner's action that the tree calls.
     """
 
-    def __init__(self, domain: Domain, navigator: str, planner_action: tuple[str, str]) -> None:
+    def __init__(self, domain: Domain, navigator: str, planner_action: str) -> None:
         super().__init__(domain, f"/bt_navigator_{navigator}_rclcpp_node")
         self.log = self.create_publisher("nav2_msgs/msg/BehaviorTreeLog", "/behavior_tree_log")
-        self.plan = self._action(*planner_action)
-        self.follow = self._action("follow_path", "FollowPath")
-        self.spin = self._action("spin", "Spin")
-        self.wait = self._action("wait", "Wait")
-        self.back_up = self._action("backup", "BackUp")
+        names = planner_action, "follow_path", "spin", "wait", "backup"
+        self.plan, self.follow, self.spin, self.wait, self.back_up = (
+            actions.client(self, name) for name in names
+        )
         self.clear_local, self.clear_global = (
-            self.create_client(
-                "nav2_msgs/srv/ClearEntireCostmap", f"/{costmap}/clear_entirely_{costmap}"
-            )
+            self.create_client(f"/{costmap}/clear_entirely_{costmap}")
             for costmap in ("local_costmap", "global_costmap")
         )
-
-    def _action(self, name: str, action: str) -> ActionClient:
-        return ActionClient(self, f"nav2_msgs/action/{action}", f"/{name}")
 
 
 class BtNavigator(LifecycleNode):
@@ -106,7 +102,6 @@ class BtNavigator(LifecycleNode):
         super().__init__(domain, "/bt_navigator", latency_ns=latency_ns)
         self._transforms = transforms
         self.number_of_recoveries = 0
-        self._goals: list[GoalHandle] = []  # the running one and the one to take its place
         self._plan_goal: Any = None
         self._follow_goal: Any = None
         self._goal_updated = False
@@ -130,25 +125,11 @@ class BtNavigator(LifecycleNode):
             self._on_goal_pose,
             qos.SYSTEM_SUBSCRIPTION,
         )
-        self._actions = ActionServer(
-            self,
-            "nav2_msgs/action/NavigateToPose",
-            "/navigate_to_pose",
-            self._on_goal,
-            self._on_cancel,
-        )
-        ActionServer(
-            self, "nav2_msgs/action/NavigateThroughPoses", "/navigate_through_poses", not_served
-        )
-        self._client = ActionClient(self, "nav2_msgs/action/NavigateToPose", "/navigate_to_pose")
-        self._node = _RclcppNode(
-            self.domain, "navigate_to_pose", ("compute_path_to_pose", "ComputePathToPose")
-        )
-        _RclcppNode(
-            self.domain,
-            "navigate_through_poses",
-            ("compute_path_through_poses", "ComputePathThroughPoses"),
-        )
+        self._goals = SimpleActionServer(self, "navigate_to_pose", self._start, self._wake)
+        actions.leave_unserved(self, ["navigate_through_poses"])
+        self._client = actions.client(self, "navigate_to_pose")
+        self._node = _RclcppNode(self.domain, "navigate_to_pose", "compute_path_to_pose")
+        _RclcppNode(self.domain, "navigate_through_poses", "compute_path_through_poses")
         self._tree = self._make_tree()
         for node in self._tree.walk():
             node.on_change = self._on_change
@@ -228,19 +209,6 @@ class BtNavigator(LifecycleNode):
     def _on_goal_pose(self, pose: Any) -> None:
         self._client.send_goal(_NavigateToPose(pose, ""), lambda *_: None)
 
-    def _on_goal(self, goal: GoalHandle) -> None:
-        for replaced in self._goals[1:]:
-            replaced.abort()
-        self._goals[1:] = [goal]
-        if self._goals == [goal]:
-            self._start()
-        else:
-            self._wake()
-
-    def _on_cancel(self, goal: GoalHandle) -> None:
-        if goal in self._goals:
-            self._wake()
-
     def _start(self) -> None:
         self._start_ns = self.now_ns
         self._take_goal()
@@ -248,7 +216,7 @@ class BtNavigator(LifecycleNode):
         self._tick()
 
     def _take_goal(self) -> None:
-        pose = self._goals[0].goal.pose
+        pose = self._goals.current.goal.pose
         self.info(
             "Begin navigating from current location to "
             f"({pose.pose.position.x:.2f}, {pose.pose.position.y:.2f})"
@@ -260,14 +228,11 @@ class BtNavigator(LifecycleNode):
         self._plan_goal = _ComputePath(pose, pose, "GridBased", use_start=False)
         self._path = None
 
-    def _end(self, answer: Callable[[], None], text: str) -> None:
+    def _end(self, answer: Callable[[GoalHandle], None], text: str) -> None:
         self._due.clear()
         self._tree.halt()
-        self._goals.pop(0)
         self.info(text)
-        answer()
-        if self._goals:
-            self._start()
+        self._goals.end(answer)
 
     # -- ticking ---------------------------------------------------------------------------
 
@@ -291,11 +256,11 @@ class BtNavigator(LifecycleNode):
             self._tick()
 
     def _tick(self) -> None:
-        if self._goals[0].status is GoalStatus.CANCELING:
-            self._end(self._goals[0].canceled, "Goal canceled")
+        if self._goals.current.status is GoalStatus.CANCELING:
+            self._end(GoalHandle.canceled, "Goal canceled")
             return
-        if len(self._goals) > 1:
-            self._goals.pop(0).abort()
+        if self._goals.is_preempted:
+            self._goals.accept_pending()
             self._take_goal()
         status = self._tree.execute()
         self._publish_feedback()
@@ -304,10 +269,10 @@ class BtNavigator(LifecycleNode):
             self._node.log.publish(_BehaviorTreeLog(time_message(self.now_ns), self._changes))
             self._changes = []
         if status is NodeStatus.SUCCESS:
-            self._end(self._goals[0].succeed, "Goal succeeded")
+            self._end(GoalHandle.succeed, "Goal succeeded")
         elif status is NodeStatus.FAILURE:
-            self._end(self._goals[0].abort, "Goal failed")
-        elif changed or self._actions.feedback_is_received:
+            self._end(GoalHandle.abort, "Goal failed")
+        elif changed or self._goals.feedback_is_received:
             self._wake()
 
     # -- feedback --------------------------------------------------------------------------
@@ -323,7 +288,7 @@ class BtNavigator(LifecycleNode):
         distance = 0.0 if self._path is None else length_ahead(self._path, pose.x, pose.y)
         moving = self._speed > 0.01 and distance > 0.1
         remaining_ns = int(distance / self._speed * SECOND) if moving else 0
-        self._goals[0].publish_feedback(
+        self._goals.current.publish_feedback(
             _Feedback(
                 pose_stamped(self.now_ns, GLOBAL_FRAME, pose.x, pose.y, pose.yaw),
                 duration_message(self.now_ns - self._goal_ns),

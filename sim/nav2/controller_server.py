@@ -12,12 +12,13 @@ import numpy as np
 
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
-from sim.middleware.action import ActionServer, GoalHandle, GoalStatus
+from sim.middleware.action import GoalHandle, GoalStatus
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND, Timer
 from sim.middleware.geometry import Pose2D, wrap_angle
 from sim.middleware.stamps import stamp_ns
 from sim.middleware.tf import TransformBuffer, TransformError
+from sim.nav2.actions import SimpleActionServer
 from sim.nav2.costmap_node import LocalCostmap
 from sim.nav2.dwb import Cycle, LocalPlanner
 from sim.nav2.dwb_sampling import Parameters
@@ -119,7 +120,6 @@ class ControllerServer(LifecycleNode):
         self._progress = ProgressChecker()
         self._goal_checker = GoalChecker()
         self._velocity = (0.0, 0.0)
-        self._goals: list[GoalHandle] = []  # the running one and the one to take its place
         self._loop: Timer
         self._valid_ns = 0  # time of the last valid velocity
 
@@ -140,9 +140,7 @@ class ControllerServer(LifecycleNode):
             "nav_msgs/msg/Odometry", "/odom", self._on_odometry, qos.SYSTEM_SUBSCRIPTION
         )
         self.create_subscription("nav2_msgs/msg/SpeedLimit", "/speed_limit", self._on_speed_limit)
-        self._actions = ActionServer(
-            self, "nav2_msgs/action/FollowPath", "/follow_path", self._on_goal
-        )
+        self._goals = SimpleActionServer(self, "follow_path", self._start)
 
     def on_activate(self) -> None:
         """Activate the costmap."""
@@ -162,13 +160,6 @@ class ControllerServer(LifecycleNode):
         changed: dict[str, Any] = {field: value}  # whole where the field is
         self._planner.configure(self._planner.parameters._replace(**changed))
 
-    def _on_goal(self, goal: GoalHandle) -> None:
-        for replaced in self._goals[1:]:
-            replaced.abort()
-        self._goals[1:] = [goal]
-        if self._goals == [goal]:
-            self._start()
-
     def _start(self) -> None:
         self.info("Received a goal, begin computing control effort.")
         self._progress = ProgressChecker()
@@ -178,7 +169,7 @@ class ControllerServer(LifecycleNode):
         self._loop = self.create_timer(PERIOD_NS, self._cycle, phase_ns=0)
 
     def _take_path(self) -> None:
-        path = self._goals[0].goal.path
+        path = self._goals.current.goal.path
         self._frame = path.header.frame_id
         path_before, self._path = self._path, path_poses(path)
         # With every path, once a second, Nav2 resets that the robot was near the goal; see
@@ -194,24 +185,24 @@ class ControllerServer(LifecycleNode):
         self._publish_plan()
 
     def _cycle(self) -> None:
-        if self._goals[0].status is GoalStatus.CANCELING:
-            self._end(self._goals[0].canceled)
+        if self._goals.current.status is GoalStatus.CANCELING:
+            self._end(GoalHandle.canceled)
             return
         if not self._costmap.is_current:
             return
-        if len(self._goals) > 1:
+        if self._goals.is_preempted:
             self.info("Passing new path to controller.")
-            self._goals.pop(0).abort()
+            self._goals.accept_pending()
             self._take_path()
         try:
             reached = self._control()
         except _ControllerError as error:
             self.error(str(error))
-            self._end(self._goals[0].abort)
+            self._end(GoalHandle.abort)
         else:
             if reached:
                 self.info("Reached the goal!")
-                self._end(self._goals[0].succeed)
+                self._end(GoalHandle.succeed)
 
     def _control(self) -> bool:
         """Send one velocity and return whether the goal is reached."""
@@ -235,10 +226,10 @@ class ControllerServer(LifecycleNode):
         else:
             self.warn("No valid trajectories out of the sampled ones!")
         twist = cycle.twist or (0.0, 0.0)
-        if self._actions.feedback_is_received:
+        if self._goals.feedback_is_received:
             robot = from_path.inverse().compose(pose)
             distance = length_ahead(self._path, robot.x, robot.y)
-            self._goals[0].publish_feedback(_Feedback(distance, abs(twist[0])))
+            self._goals.current.publish_feedback(_Feedback(distance, abs(twist[0])))
         self._commands.publish(twist_message(*twist), twist_bytes(*twist))
         return self._goal_checker.is_reached(pose, from_path.compose(self._path_end))
 
@@ -251,10 +242,7 @@ class ControllerServer(LifecycleNode):
         self._transformed.publish_serialized(path_bytes(now_ns, frame, cycle.plan))
         self._local.publish_serialized(path_bytes(now_ns, frame, cycle.trajectory))
 
-    def _end(self, answer: Callable[[], None]) -> None:
+    def _end(self, answer: Callable[[GoalHandle], None]) -> None:
         self._loop.cancel()
-        self._goals.pop(0)
         self._commands.publish(twist_message(0.0, 0.0), twist_bytes(0.0, 0.0))
-        answer()
-        if self._goals:
-            self._start()
+        self._goals.end(answer)

@@ -1,11 +1,11 @@
 """The servers that no client here requests: their endpoints, without the work."""
 
 from sim.middleware import qos
-from sim.middleware.action import ActionClient, ActionServer
 from sim.middleware.domain import Domain
+from sim.nav2 import actions
 from sim.nav2.costmap import COSTMAP
 from sim.nav2.footprint import POLYGON
-from sim.nav2.lifecycle import LifecycleNode, not_served
+from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.paths import PATH
 
 
@@ -28,7 +28,7 @@ class SmootherServer(LifecycleNode):
         self.create_subscription(
             POLYGON, "/global_costmap/published_footprint", None, qos.SYSTEM_SUBSCRIPTION
         )
-        ActionServer(self, "nav2_msgs/action/SmoothPath", "/smooth_path", not_served)
+        actions.leave_unserved(self, ["smooth_path"])
 
 
 class WaypointFollower(LifecycleNode):
@@ -45,5 +45,5 @@ class WaypointFollower(LifecycleNode):
 
     def on_configure(self) -> None:
         """Open the actions."""
-        ActionClient(self, "nav2_msgs/action/NavigateToPose", "/navigate_to_pose")
-        ActionServer(self, "nav2_msgs/action/FollowWaypoints", "/follow_waypoints", not_served)
+        actions.client(self, "navigate_to_pose")
+        actions.leave_unserved(self, ["follow_waypoints"])

@@ -12,10 +12,9 @@ import numpy as np
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
-from sim.middleware.action import GoalHandle
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
-from sim.middleware.node import Client, Node
+from sim.middleware.node import Node
 from sim.middleware.stamps import header
 
 _BondStatus = message_class("bond/msg/Status")
@@ -169,15 +168,12 @@ class LifecycleManager(Node):
         )
         self.create_service("nav2_msgs/srv/ManageLifecycleNodes", f"{name}/manage_nodes", nothing)
         self.create_service("std_srvs/srv/Trigger", f"{name}/is_active", nothing)
-        self._clients = {node: self._client(node) for node in managed}
+        self._clients = {node: self.create_client(f"{node}/change_state") for node in managed}
         for node in managed:
-            self.create_client("lifecycle_msgs/srv/GetState", f"{node}/get_state")
+            self.create_client(f"{node}/get_state")
         self._todo = [(step, node) for step in _Request for node in managed]
         self.create_timer(SECOND, self._diagnose)
         self.call_later(0, self._next)
-
-    def _client(self, node: str) -> Client:
-        return self.create_client("lifecycle_msgs/srv/ChangeState", f"{node}/change_state")
 
     def _next(self) -> None:
         """Request the next transition, or finish."""
@@ -210,8 +206,3 @@ def _state_message(state: State) -> object:
 
 def nothing(_request: object) -> None:
     """Answer a service that exists, as in Nav2, but has no client here."""
-
-
-def not_served(goal: GoalHandle) -> None:
-    """Abort the goal of an action that exists, as in Nav2, but has no client here."""
-    goal.abort()

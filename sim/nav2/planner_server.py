@@ -15,8 +15,9 @@ from sim.middleware.executor import MILLISECOND
 from sim.middleware.geometry import Pose2D
 from sim.middleware.stamps import duration_message
 from sim.nav2 import navfn
+from sim.nav2.actions import leave_unserved
 from sim.nav2.costmap_node import GlobalCostmap
-from sim.nav2.lifecycle import LifecycleNode, not_served, nothing
+from sim.nav2.lifecycle import LifecycleNode, nothing
 from sim.nav2.messages import pose_yaw
 from sim.nav2.paths import PATH, Poses, path_bytes, path_message
 
@@ -53,8 +54,7 @@ class PlannerServer(LifecycleNode):
         self._plan = self.create_publisher(PATH, "/plan", qos.RELIABLE)
         self.create_service("nav2_msgs/srv/IsPathValid", "/is_path_valid", nothing)
         ActionServer(self, _ACTION, "/compute_path_to_pose", self._on_goal, GoalHandle.canceled)
-        through_poses = "nav2_msgs/action/ComputePathThroughPoses"
-        ActionServer(self, through_poses, "/compute_path_through_poses", not_served)
+        leave_unserved(self, ["compute_path_through_poses"])
 
     def on_activate(self) -> None:
         """Activate the costmap."""

@@ -1,9 +1,9 @@
 """RViz with Nav2's default view: in the graph, but without messages, as if no one clicks."""
 
 from sim.middleware import qos
-from sim.middleware.action import ActionClient
 from sim.middleware.domain import Domain
 from sim.middleware.node import Node
+from sim.nav2 import actions
 
 _GRID = "nav_msgs/msg/OccupancyGrid"
 _PATH = "nav_msgs/msg/Path"
@@ -46,13 +46,9 @@ class RViz(Node):
         self.create_publisher("geometry_msgs/msg/PoseWithCovarianceStamped", "/initialpose")
         for topic, msgtype, profile in _DISPLAYS:
             self.create_subscription(msgtype, topic, None, profile)
-        for name, action in (
-            ("navigate_to_pose", "NavigateToPose"),
-            ("navigate_through_poses", "NavigateThroughPoses"),
-        ):
-            self.create_subscription(
-                f"nav2_msgs/action/{action}_FeedbackMessage", f"/{name}/_action/feedback", None
-            )
+        for name in ("navigate_to_pose", "navigate_through_poses"):
+            feedback = f"{actions.action_type(name)}_FeedbackMessage"
+            self.create_subscription(feedback, f"/{name}/_action/feedback", None)
             self.create_subscription(
                 "action_msgs/msg/GoalStatusArray", f"/{name}/_action/status", None, qos.LATCHED
             )
@@ -70,9 +66,5 @@ class NavigationDialog(Node):
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain, "/rviz_navigation_dialog_action_client", endpoints="PE")
         self.create_publisher("visualization_msgs/msg/MarkerArray", "/waypoints")
-        for name, action in (
-            ("navigate_to_pose", "NavigateToPose"),
-            ("navigate_through_poses", "NavigateThroughPoses"),
-            ("follow_waypoints", "FollowWaypoints"),
-        ):
-            ActionClient(self, f"nav2_msgs/action/{action}", f"/{name}")
+        for name in ("navigate_to_pose", "navigate_through_poses", "follow_waypoints"):
+            actions.client(self, name)

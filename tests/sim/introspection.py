@@ -10,16 +10,16 @@ def subscriptions_of(domain, node):
 
 
 def services_of(domain, node):
-    return {offer.name: offer.type for offer in domain.services() if offer.server == node}
+    return {offer.name: offer.type for offer, _ in domain.services if offer.node == node}
 
 
 def clients_of(domain, node):
-    return {offer.name: offer.type for offer in domain.services() if node in offer.clients}
+    return {offer.name: offer.type for offer, clients in domain.services if node in clients}
 
 
 def action_servers_of(domain, node):
-    return {offer.name: offer.type for offer in domain.actions() if offer.server == node}
+    return {offer.name: offer.type for offer, _ in domain.actions if offer.node == node}
 
 
 def action_clients_of(domain, node):
-    return {offer.name: offer.type for offer in domain.actions() if node in offer.clients}
+    return {offer.name: offer.type for offer, clients in domain.actions if node in clients}

@@ -155,7 +155,7 @@ def test_a_timer_fires_every_period_until_cancelled(domain):
 
 def test_a_service_answers_its_caller(domain):
     Node(domain, "/server").create_service("std_srvs/srv/Trigger", "/double", lambda x: 2 * x)
-    client = Node(domain, "/client").create_client("std_srvs/srv/Trigger", "/double")
+    client = Node(domain, "/client").create_client("/double")
     answers = []
     client.call(21, answers.append)
     domain.executor.run_until(0)
@@ -165,7 +165,7 @@ def test_a_service_answers_its_caller(domain):
 
 
 def test_a_call_to_a_service_without_a_server_is_an_error(domain):
-    client = Node(domain, "/client").create_client("std_srvs/srv/Trigger", "/nowhere")
+    client = Node(domain, "/client").create_client("/nowhere")
     with pytest.raises(LookupError, match="no node offers the service /nowhere"):
         client.call(None)
 

@@ -245,9 +245,7 @@ def test_clearing_entirely_forgets_obstacles_but_not_the_map(world):
     world.see(np.inf)
     world.robot.run(1.2)
     assert world.cost(1.02, 0.01) == LETHAL
-    client = world.robot.create_client(
-        "nav2_msgs/srv/ClearEntireCostmap", "/global_costmap/clear_entirely_global_costmap"
-    )
+    client = world.robot.create_client("/global_costmap/clear_entirely_global_costmap")
     client.call(None)
     world.robot.run(0.01)
     assert not world.costmap.is_current

@@ -56,7 +56,7 @@ class Rig:
 
     def clear(self):
         name = "/global_costmap/clear_entirely_global_costmap"
-        self.robot.create_client("nav2_msgs/srv/ClearEntireCostmap", name).call(None)
+        self.robot.create_client(name).call(None)
         self.robot.run(0.001)
 
 
