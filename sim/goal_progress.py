@@ -1,7 +1,7 @@
-"""How far a goal has come, as the program that gave it knows."""
+"""How far goals have come, as the program that gives them knows."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 GoalOutcome = Literal["succeeded", "aborted", "canceled"]
 
@@ -18,3 +18,10 @@ class GoalProgress:
     def end(self, now_ns: int, outcome: GoalOutcome) -> None:
         """Note when and how it ended."""
         self.ended_ns, self.outcome = now_ns, outcome
+
+
+class Commander(Protocol):
+    """A program that gives goals one after another."""
+
+    results: list[GoalProgress]  # of the goals so far
+    is_over: bool  # whether the last one has ended

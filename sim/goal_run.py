@@ -3,20 +3,19 @@
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from oracle_pipeline.bags.manifest import GoalResult, Outcome
 from sim.arrays import Floats
-from sim.goal_progress import GoalProgress
+from sim.goal_progress import Commander, GoalProgress
 from sim.middleware.executor import MILLISECOND, SECOND, Executor
 from sim.testbed import Recipe
 from sim.testbed_run import TestbedRun
 
 BEFORE_RECORDING_NS = 1 * SECOND
 BEFORE_PROGRAM_NS = 2 * SECOND  # from the recorder's start
-AFTER_PROGRAM_NS = 1 * SECOND
 _PERIOD_NS = 100 * MILLISECOND  # a tenth of a second at 0.26 m/s is 3 cm of a smooth arc
 
 
@@ -65,15 +64,16 @@ class Odometer:
 class GoalRun(TestbedRun):
     """A testbed with goals, for one run.
 
-    A derived class has a name for the mode's node, sets ``_executor`` and ``_latency_ns``, calls
-    `_prepare` before the recording and `_begin` at its start, and `_on_goal` for each goal.
+    A derived class has a name for the mode's node, sets the attributes below, and calls `_conduct`
+    once the system has started.
     """
 
-    NODE: str  # name of the mode's node in every mode
+    NODE: ClassVar[str]  # name of the mode's node in every mode
+    AFTER_NS: ClassVar[int] = 1 * SECOND  # from the end of the program to that of the recording
     _executor: Executor
     _latency_ns: int
     _odometer: Odometer
-    _progress: Sequence[GoalProgress]  # of the goals so far
+    _commander: Commander
 
     def __init__(self, recipe: Recipe, folder: Path) -> None:
         super().__init__(recipe, folder)
@@ -81,36 +81,28 @@ class GoalRun(TestbedRun):
         self._onset_ns: int | None = None
         self._attack_end_ns: int | None = None
 
-    def _conduct(
-        self, start: Callable[[], None], is_over: Callable[[], bool], timeout_s: float
-    ) -> None:
+    def _conduct(self, start: Callable[[], None], timeout_s: float) -> None:
         """Record a program, from shortly before its start until shortly after its end.
 
         Parameters
         ----------
         start
-            Starts the program, which calls `_on_part` for each goal.
-        is_over
-            Returns whether it has ended.
+            Starts the program, which calls `_on_goal` for each goal.
         timeout_s
             Longest recording [s].
         """
         run = self._executor
         self._prepare()
-        run.run_until(BEFORE_RECORDING_NS)
+        run.run_until(run.now_ns + BEFORE_RECORDING_NS)
         self._begin()
         with self._recorded():
             run.run_until(self._start_ns + BEFORE_PROGRAM_NS)
             start()
-            run.run_until(self._start_ns + round(timeout_s * SECOND), stop=is_over)
-            if is_over():
-                run.run_until(run.now_ns + AFTER_PROGRAM_NS)
+            timeout_ns = self._start_ns + round(timeout_s * SECOND)
+            run.run_until(timeout_ns, stop=lambda: self._commander.is_over)
+            if self._commander.is_over:
+                run.run_until(run.now_ns + self.AFTER_NS)
             self._end_ns = run.now_ns
-
-    def _on_part(self, number: int) -> None:
-        """Take the number of a goal that a program has begun, from 1."""
-        self._odometer.mark()
-        self._on_goal(number)
 
     def _prepare(self) -> None:
         """Add the mode's node, unless it is absent until the onset."""
@@ -125,6 +117,7 @@ class GoalRun(TestbedRun):
 
     def _on_goal(self, number: int) -> None:
         """Take the number of a goal that was accepted, from 1."""
+        self._odometer.mark()
         activation, now_ns = self._program.activation, self._executor.now_ns
         if activation.after == "goal_accepted" and number == activation.goal:
             self._set_onset(now_ns)
@@ -161,7 +154,7 @@ class GoalRun(TestbedRun):
         return max(time_ns - self._start_ns, 0) / SECOND
 
     def _results(self) -> dict[str, Any]:
-        results = tuple(map(self._goal_result, self._progress, self._odometer.distances()))
+        results = tuple(map(self._goal_result, self._commander.results, self._odometer.distances()))
         # The worst of the goals; one that was never reached stands for those never sent.
         failed = [result.outcome for result in results if result.outcome != "succeeded"]
         return {

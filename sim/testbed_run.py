@@ -66,13 +66,17 @@ class TestbedRun(ABC):
         self.node = ScenarioNode(self.domain, name, execution, latency_ns=latency_ns)
         return self.node
 
+    def _recorder_options(self) -> dict[str, Any]:
+        """Return the options of `Recorder`, when the recording begins."""
+        return {}
+
     @contextmanager
-    def _recorded(self, **options: Any) -> Iterator[None]:
-        """Record bag and graphs; ``options`` are those of `Recorder`."""
+    def _recorded(self) -> Iterator[None]:
+        """Record bag and graphs."""
         graphs = self._folder / GRAPHS_FOLDER
         graphs.mkdir()
         with BagWriter(self._folder / BAG_FOLDER, self._recipe.storage) as self._bag:
-            recorder = Recorder(self.domain, self._bag, **options)
+            recorder = Recorder(self.domain, self._bag, **self._recorder_options())
             graph = GraphRecorder(self.domain, graphs)
             yield
             recorder.store()

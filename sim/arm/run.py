@@ -39,7 +39,6 @@ class ArmRun(GoalRun):
         ObjectDetector(domain, world.object_pose, session, recipe.obstacle, draws(detector))
         self._move_group = MoveGroup(domain, latency_ns)
         self._commander = PickAndPlace(domain, latency_ns)
-        self._progress = self._commander.results
         declare(domain, CONDITIONS, self._change)
         self._odometer = Odometer(self._executor, lambda: world.tool().tolist())
 
@@ -52,9 +51,7 @@ class ArmRun(GoalRun):
     def go(self) -> None:
         """Record the run, and write bag and graphs."""
         cell, recipe = self._commander, self._recipe
-        self._conduct(
-            lambda: cell.run(recipe.places, self._on_part), lambda: cell.is_over, recipe.timeout_s
-        )
+        self._conduct(lambda: cell.run(recipe.places, self._on_goal), recipe.timeout_s)
 
     def _results(self) -> dict[str, Any]:
         touched = ((self._seconds(at_ns), name) for at_ns, name in self._world.touched)

@@ -28,6 +28,7 @@ class CrazyflieRun(GoalRun):
 
     NODE = "/pose_relay"
     _recipe: CrazyflieRecipe
+    _commander: FlightCommander
 
     def __init__(self, recipe: CrazyflieRecipe, folder: Path) -> None:
         super().__init__(recipe, folder)
@@ -40,16 +41,13 @@ class CrazyflieRun(GoalRun):
         MotionCapture(domain, world.pose, session, draws("/motion_capture_tracking"))
         CrazyflieServer(domain, firmware, world.volts, draws("/crazyflie_server"), latency_ns)
         self._commander = FlightCommander(domain, latency_ns)
-        self._progress = self._commander.results
         declare(domain, CONDITIONS, world.change)
         self._odometer = Odometer(self._executor, lambda: world.pose()[0].tolist())
 
     def go(self) -> None:
         """Record the flight, and write bag and graphs."""
         flight, recipe = self._commander, self._recipe
-        self._conduct(
-            lambda: flight.fly(recipe.legs, self._on_part), lambda: flight.is_over, recipe.timeout_s
-        )
+        self._conduct(lambda: flight.fly(recipe.legs, self._on_goal), recipe.timeout_s)
 
     def _results(self) -> dict[str, Any]:
         return {

@@ -50,11 +50,14 @@ class BasicNavigator(Node):
     ----------
     results
         One entry for each goal sent so far.
+    is_over
+        Whether the last goal has been reached, or one has failed.
     """
 
     def __init__(self, domain: Domain, *, latency_ns: int = 0) -> None:
         super().__init__(domain, "/basic_navigator", endpoints="P", latency_ns=latency_ns)
         self.results: list[GoalProgress] = []
+        self.is_over = False
         self._localized = False
         self._initial_pose = self.create_publisher(
             "geometry_msgs/msg/PoseWithCovarianceStamped", "/initialpose"
@@ -89,10 +92,7 @@ class BasicNavigator(Node):
         timer: Timer = self.create_timer(SECOND, publish, phase_ns=0)
 
     def follow(
-        self,
-        goals: Sequence[Pose2D],
-        on_done: Callable[[], None],
-        on_accepted: Callable[[GoalProgress], None] = lambda _: None,
+        self, goals: Sequence[Pose2D], on_accepted: Callable[[int], None] = lambda _: None
     ) -> None:
         """Drive to poses in the map, in order; a goal that is not reached ends the patrol.
 
@@ -100,13 +100,11 @@ class BasicNavigator(Node):
         ----------
         goals
             The poses.
-        on_done
-            Called when the last goal has been reached, or one has failed; see ``results``.
         on_accepted
-            Called with the new result when a goal has been accepted.
+            Called with the number of each goal, from 1, when it has been accepted.
         """
         if not goals:
-            on_done()
+            self.is_over = True
             return
         goal, *others = goals
 
@@ -115,7 +113,7 @@ class BasicNavigator(Node):
 
         def on_result(status: GoalStatus, _result: Any) -> None:
             result.end(self.now_ns, cast(GoalOutcome, status.name.lower()))
-            self.follow(others if status is GoalStatus.SUCCEEDED else [], on_done, on_accepted)
+            self.follow(others if status is GoalStatus.SUCCEEDED else [], on_accepted)
 
         pose = pose_stamped(self.now_ns, "map", goal.x, goal.y, goal.yaw)
         handle: GoalHandle = self._client.send_goal(
@@ -123,7 +121,7 @@ class BasicNavigator(Node):
         )
         result = GoalProgress(handle.accepted_ns)
         self.results.append(result)
-        on_accepted(result)
+        on_accepted(len(self.results))
 
     def _on_amcl_pose(self, _pose: Any) -> None:
         self._localized = True

@@ -11,7 +11,6 @@ from typing import Any
 
 from oracle_pipeline.bags import manifest as schema
 from oracle_pipeline.bags.errors import RunDirectoryError
-from sim.goal_progress import GoalProgress
 from sim.goal_run import GoalRun, Odometer
 from sim.middleware.delays import Delays
 from sim.middleware.domain import Domain
@@ -30,10 +29,6 @@ from sim.turtlebot3.sessions import estimated_start, load, mapped, sensor_errors
 from sim.turtlebot3.world import World
 
 BRING_UP_NS = 20 * SECOND  # Nav2 must be active by then
-BEFORE_RECORDING_NS = 1 * SECOND  # from an active Nav2 to the recorder's start
-BEFORE_FIRST_GOAL_NS = 2 * SECOND  # from the recorder's start to the first goal
-AFTER_LAST_GOAL_NS = 2 * SECOND
-
 NODE = "/lidar_passthrough"  # name of the mode's node in every mode
 
 
@@ -45,6 +40,7 @@ class TurtleBot3Run(GoalRun):
     """The testbed, for one run."""
 
     NODE = NODE
+    AFTER_NS = 2 * SECOND
     _recipe: TurtleBot3Recipe
 
     def __init__(self, recipe: TurtleBot3Recipe, folder: Path) -> None:
@@ -80,9 +76,8 @@ class TurtleBot3Run(GoalRun):
             stock=options.nav2 == "stock",
             parameters=options.nav2_params,
         )
-        self._progress = self._nav2.navigator.results
+        self._commander = self._nav2.navigator
         self._odometer = Odometer(self._executor, self._place)
-        self._patrol_over = False
 
     def go(self) -> None:
         """Start Nav2, record the patrol, and write bag and graphs."""
@@ -95,22 +90,16 @@ class TurtleBot3Run(GoalRun):
             raise BringUpError(
                 f"Nav2 was not active after {BRING_UP_NS // SECOND} s; look at /rosout in the bag."
             )
-        self._prepare()
-        self._executor.run_until(self._executor.now_ns + BEFORE_RECORDING_NS)
-        self._begin()
-        options = recipe.options
-        with self._recorded(
-            leave_out=DEBUG_TOPICS,
-            hidden_topics=options.hidden_topics,
-            receive_clock=self._receive_clock() if options.receive_stamps else None,
-        ):
-            self._executor.run_until(self._start_ns + BEFORE_FIRST_GOAL_NS)
-            navigator.follow(self._recipe.goals, self._on_patrol_over, self._on_goal_accepted)
-            timeout_ns = self._start_ns + round(self._recipe.timeout_s * SECOND)
-            self._executor.run_until(timeout_ns, stop=lambda: self._patrol_over)
-            if self._patrol_over:
-                self._executor.run_until(self._executor.now_ns + AFTER_LAST_GOAL_NS)
-            self._end_ns = self._executor.now_ns
+        self._conduct(lambda: navigator.follow(recipe.goals, self._on_goal), recipe.timeout_s)
+
+    def _recorder_options(self) -> dict[str, Any]:
+        options, rng = self._recipe.options, self._recipe.generator("/rosbag2_recorder")
+        clock = ReceiveClock(self._start_ns, rng) if options.receive_stamps else None
+        return {
+            "leave_out": DEBUG_TOPICS,
+            "hidden_topics": options.hidden_topics,
+            "receive_clock": clock,
+        }
 
     def _results(self) -> dict[str, Any]:
         recipe = self._recipe
@@ -142,13 +131,6 @@ class TurtleBot3Run(GoalRun):
         has_object = self._program.scenario.has_object
         return {"frame": "odom", **parameters} if has_object else parameters
 
-    def _on_patrol_over(self) -> None:
-        self._patrol_over = True
-
-    def _on_goal_accepted(self, _result: GoalProgress) -> None:
-        self._odometer.mark()
-        self._on_goal(len(self._progress))
-
     def _start_node(self) -> None:
         """Add the mode's node to the graph, unless the campaign leaves it out."""
         if self._recipe.options.wiring != "absent" or self._program.is_in_place:
@@ -163,10 +145,6 @@ class TurtleBot3Run(GoalRun):
         if node == NODE:  # it needs the times at which its messages were sent
             return None
         return Delays(load(self._recipe.session), self._recipe.generator(f"{node} delays"))
-
-    def _receive_clock(self) -> ReceiveClock:
-        rng = self._recipe.generator("/rosbag2_recorder")
-        return ReceiveClock(self._executor.now_ns, rng)
 
 
 def _world_parameters(recipe: TurtleBot3Recipe) -> WorldParameters:

@@ -59,7 +59,7 @@ class Drive:
         with BagWriter(folder / "bag") as bag:
             self.system.complete(bag)
             self.listen()
-            self.system.nav2.navigator.follow([GOAL], lambda: None)
+            self.system.nav2.navigator.follow([GOAL])
             self.system.run(DRIVE_S)
         names = self.domain.node_names()
         listeners = [name for name in names if humble.plain(name) == humble.LISTENER]
