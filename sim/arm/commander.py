@@ -25,6 +25,7 @@ from sim.middleware import qos
 from sim.middleware.action import ActionClient, GoalStatus
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
+from sim.middleware.geometry import pose_yaw
 from sim.middleware.node import Node
 
 SAFE_Z = 0.22  # of the point between the fingertips [m]
@@ -209,7 +210,7 @@ class PickAndPlace(Node):
 
     def _on_pose(self, message: Any) -> None:
         at = message.pose.position
-        self._seen = Pose(at.x, at.y, ros.yaw_of(message.pose))
+        self._seen = Pose(at.x, at.y, pose_yaw(message.pose))
 
     def _on_wrench(self, message: Any) -> None:
         force = message.wrench.force

@@ -54,7 +54,7 @@ class TrajectoryController(Node):
         self._hold(np.array(HOME))
         names = ("state", "desired", "actual"), ("controller_state", "reference", "feedback")
         self._states = [self._state(*each) for each in names]
-        self.create_subscription(TRAJECTORY, COMMAND, self._begin, qos.SYSTEM_SUBSCRIPTION)
+        self.create_subscription(TRAJECTORY, COMMAND, self._begin, qos.SYSTEM)
         ActionServer(self, FOLLOW_TYPE, FOLLOW, self._on_goal)
 
     def _state(self, name: str, wanted: str, measured: str) -> tuple[Any, Template]:
@@ -101,7 +101,7 @@ class TrajectoryController(Node):
             wanted, speed = self._last
             rows = wanted, speed, positions, speeds, wanted - positions, speed - speeds
             for publisher, template in self._states:
-                publisher.publish_serialized(template.data(*divmod(self.now_ns, SECOND), *rows))
+                publisher.publish_serialized(template.data(*self.stamp, *rows))
 
     def _follow(self, path: CubicHermiteSpline, positions: Floats) -> None:
         """Go on along a path; end at its end, or when it is left."""
@@ -184,7 +184,7 @@ class ControllerManager(Node):
         self.create_timer(UPDATE_NS, self._update, phase_ns=0)
 
     def _update(self) -> None:
-        stamp = divmod(self.now_ns, SECOND)
+        stamp = self.stamp
         positions, speeds, efforts, wrench = self._hardware.measure()
         self._clock.publish_serialized(self._time.data(*stamp))
         self._joints.publish_serialized(self._state.data(*stamp, positions, speeds, efforts))

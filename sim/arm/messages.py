@@ -7,7 +7,7 @@ import numpy as np
 from sim.arm.cell import JOINTS
 from sim.arrays import Floats
 from sim.fuzzing.value_types import message_type, zero
-from sim.middleware.geometry import quaternion_yaw, yaw_quaternion
+from sim.middleware.geometry import yaw_quaternion
 from sim.middleware.stamps import header
 
 BASE = "base_link"
@@ -42,12 +42,6 @@ def box(name: str, where: Any, half: tuple[float, ...], now_ns: int) -> Any:
         COLLISION_OBJECT, header=header(now_ns, BASE), id=name, pose=where, primitives=[shape],
         primitive_poses=[pose(0.0, 0.0, 0.0)],
     )  # fmt: skip
-
-
-def yaw_of(where: Any) -> float:
-    """Return the yaw of a ``geometry_msgs/msg/Pose`` [rad]."""
-    q = where.orientation
-    return quaternion_yaw(q.x, q.y, q.z, q.w)
 
 
 def joints_of(message: Any) -> Floats | None:

@@ -18,6 +18,7 @@ from sim.middleware import qos
 from sim.middleware.action import ActionClient, ActionServer, GoalHandle, GoalStatus
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
+from sim.middleware.geometry import pose_yaw
 from sim.middleware.node import Node
 from sim.middleware.stamps import stamp_ns
 
@@ -53,7 +54,7 @@ class MoveGroup(Node):
         self._waiting: GoalHandle | None = None
         self._scene = self.create_publisher(ros.SCENE, MONITORED, qos.profile(100))
         self._display = self.create_publisher(_DISPLAY, "/display_planned_path", qos.RELIABLE)
-        subscribe = functools.partial(self.create_subscription, qos=qos.SYSTEM_SUBSCRIPTION)
+        subscribe = functools.partial(self.create_subscription, qos=qos.SYSTEM)
         subscribe(ros.JOINT_STATE, "/joint_states", self._on_joints, qos=qos.SENSOR_DATA)
         subscribe(ros.COLLISION_OBJECT, "/collision_object", self._on_object)
         subscribe(ros.SCENE, "/planning_scene", self._on_scene)
@@ -130,7 +131,7 @@ class MoveGroup(Node):
 
 def _box(message: Any) -> Floats:
     """Return middle and half of the edges of a box around a collision object [m]."""
-    at, turn = message.pose.position, ros.yaw_of(message.pose)
+    at, turn = message.pose.position, pose_yaw(message.pose)
     x, y, z = message.primitives[0].dimensions / 2.0
     c, s = abs(math.cos(turn)), abs(math.sin(turn))
     return np.array([[at.x, at.y, at.z], [c * x + s * y, s * x + c * y, z]])

@@ -86,7 +86,7 @@ class ObjectDetector(Node):
         position, (w, a, b, c) = self._measure()
         x, y, z = (position + self._error + self._noise_m * self.rng.standard_normal(3)).tolist()
         row = [x, y, z, a, b, c, w]
-        self._pose.publish_serialized(self._template.data(*divmod(self.now_ns, SECOND), row))
+        self._pose.publish_serialized(self._template.data(*self.stamp, row))
         if self.now_ns % SCENE_NS == 0:
             thing = pose(x, y, z, quaternion_yaw(a, b, c, w))
             for name, where, half in ((OBJECT, thing, OBJECT_M), (POST, self._post, POST_M)):

@@ -16,7 +16,7 @@ from oracle_pipeline.bags.jit import jit
 from sim.arrays import Floats, Ints
 from sim.atc.geodesy import Place, to_plane
 from sim.middleware.executor import MILLISECOND, SECOND
-from sim.middleware.geometry import wrap_angle
+from sim.middleware.geometry import wrapped
 
 STEP_NS = 250 * MILLISECOND
 
@@ -32,8 +32,6 @@ _X, _Y, _Z, _VX, _VY, _VZ, _AIRSPEED, _HEADING = range(8)
 
 
 Wind = tuple[float, float]  # velocity of the air, east and north [m/s]
-
-_wrap = jit(wrap_angle)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +151,7 @@ def _step(
         change = 0.0
         if leg[i] < last[i]:
             after = routes[i, leg[i] + 1]
-            change = abs(_wrap(math.atan2(after[0] - fix[0], after[1] - fix[1]) - course))
+            change = abs(wrapped(math.atan2(after[0] - fix[0], after[1] - fix[1]) - course))
         lead = ground_speed / turn * math.tan(min(change, 0.9 * math.pi) / 2.0)
         abeam = dx * state[_VX] + dy * state[_VY] <= 0.0 and to_go < 2.0 * ground_speed / turn
         if abeam or to_go <= min(lead, _LONGEST_LEAD_M) + ground_speed * dt:
@@ -161,7 +159,7 @@ def _step(
 
         state[_AIRSPEED] += _limited(fix[3] - state[_AIRSPEED], _ACCELERATION * dt)
         heading = course + _crab(course, state[_AIRSPEED], wind_x, wind_y)
-        state[_HEADING] += _limited(_wrap(heading - state[_HEADING]), turn * dt)
+        state[_HEADING] += _limited(wrapped(heading - state[_HEADING]), turn * dt)
         climb = (fix[2] - state[_Z]) * ground_speed / max(to_go, ground_speed)
         climb = _limited(climb, _VERTICAL_SPEED)
         state[_VZ] += _limited(climb - state[_VZ], _VERTICAL_ACCELERATION * dt)

@@ -152,7 +152,7 @@ class AdsbReceiver(Node):
         )
         self._publisher.publish(
             _report(self.now_ns, self._transponders[index], *numbers),
-            self._templates[index].data(*divmod(self.now_ns, SECOND), *numbers),
+            self._templates[index].data(*self.stamp, *numbers),
         )
 
 

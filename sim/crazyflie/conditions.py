@@ -34,11 +34,6 @@ _TAPE_AT = 0.6
 _TAPE_LOSS_MG = 1.5e-3
 
 
-def usual_conditions() -> dict[str, float]:
-    """Return every condition as it is without a fault."""
-    return {name: values.usual for name, values in CONDITIONS.items()}
-
-
 def vector(conditions: Mapping[str, float], prefix: str) -> Floats:
     """Return the three components of a condition, such as those of ``wind.``."""
     return np.array([conditions[f"{prefix}{axis}"] for axis in "xyz"])

@@ -19,7 +19,7 @@ from sim.crazyflie.tracking import FRAME, NAME, POSES, pose_message
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
-from sim.middleware.geometry import quaternion_yaw
+from sim.middleware.geometry import pose_yaw
 from sim.middleware.node import Node
 from sim.middleware.stamps import header
 
@@ -76,7 +76,7 @@ class CrazyflieServer(Node):
         self._battery = self.create_publisher(_BATTERY, f"/{NAME}/battery")
         self._create_logs()
         self.create_subscription(POSES, "/poses", self._on_poses, qos.SENSOR_DATA)
-        subscribe = partial(self.create_subscription, qos=qos.SYSTEM_SUBSCRIPTION)
+        subscribe = partial(self.create_subscription, qos=qos.SYSTEM)
         subscribe(_POSITION, f"/{NAME}/cmd_position", self._on_position)
         subscribe(_FULL_STATE, f"/{NAME}/cmd_full_state", self._on_full_state)
         self.create_timer(STATUS_NS, self._report)
@@ -105,7 +105,7 @@ class CrazyflieServer(Node):
     def _send(
         self, publish: Callable[[bytes], None], template: Template, values: Callable[[], Any]
     ) -> None:
-        publish(template.data(*divmod(self.now_ns, SECOND), *values()))
+        publish(template.data(*self.stamp, *values()))
 
     def _pose(self) -> tuple[list[float]]:
         """Return the estimate as in a message: position, then the quaternion x, y, z, w."""
@@ -138,8 +138,7 @@ class CrazyflieServer(Node):
         self._firmware.set_point(message.x, message.y, message.z, message.yaw)
 
     def _on_full_state(self, message: Any) -> None:
-        at, turn = message.pose.position, message.pose.orientation
-        yaw = quaternion_yaw(turn.x, turn.y, turn.z, turn.w)
+        at, yaw = message.pose.position, pose_yaw(message.pose)
         self._firmware.set_point(at.x, at.y, at.z, math.degrees(yaw))
 
     def _report(self) -> None:

@@ -11,7 +11,7 @@ from sim.arrays import Floats
 from sim.crazyflie.recipes import CrazyflieSession
 from sim.middleware import qos
 from sim.middleware.domain import Domain
-from sim.middleware.executor import MILLISECOND, SECOND
+from sim.middleware.executor import MILLISECOND
 from sim.middleware.geometry import Pose2D
 from sim.middleware.node import Node
 from sim.middleware.stamps import header
@@ -74,7 +74,7 @@ class MotionCapture(Node):
         quaternion /= np.sqrt((quaternion**2).sum())
         w, *turn = quaternion.tolist()
         numbers = [*position.tolist(), *turn, w]
-        stamp = divmod(self.now_ns, SECOND)
+        stamp = self.stamp
         message = _poses(self.now_ns, pose_message(position.tolist(), quaternion.tolist()))
         self._poses.publish(message, self._array.data(*stamp, numbers))
         self._tf.publish_serialized(self._transform.data(*stamp, numbers))

@@ -12,7 +12,7 @@ import numpy as np
 
 from sim.arrays import Floats
 from sim.crazyflie.airframe import INERTIA, MASS_KG, STEP_S, wrench
-from sim.crazyflie.conditions import rotors_of, usual_conditions, vector
+from sim.crazyflie.conditions import CONDITIONS, rotors_of, vector
 from sim.crazyflie.recipes import Craft
 
 STEP_NS = round(STEP_S * 1e9)
@@ -86,7 +86,7 @@ class World:
         self._noise = np.zeros((0, 13))
         self._steps = 0
         self.hits_ns: list[int] = []
-        self._conditions = usual_conditions()
+        self._conditions = {name: values.usual for name, values in CONDITIONS.items()}
         self._apply()
 
     def pose(self) -> tuple[Floats, Floats]:

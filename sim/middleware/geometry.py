@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -80,6 +81,12 @@ def _moved(points: Floats, x: float, y: float, c: float, s: float) -> Floats:
 def quaternion_yaw(x: float, y: float, z: float, w: float) -> float:
     """Return the yaw of a unit quaternion [rad]."""
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def pose_yaw(pose: Any) -> float:
+    """Return the yaw of ``geometry_msgs/msg/Pose`` [rad]."""
+    q = pose.orientation
+    return quaternion_yaw(q.x, q.y, q.z, q.w)
 
 
 def yaw_quaternion(yaw: float) -> tuple[float, float, float, float]:

@@ -14,7 +14,7 @@ from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos as profiles
 from sim.middleware.domain import Domain, Service
 from sim.middleware.endpoints import Publisher, Subscription
-from sim.middleware.executor import Timer
+from sim.middleware.executor import SECOND, Timer
 from sim.middleware.node_parameters import EVENT, NodeParameter
 from sim.middleware.stamps import time_message
 
@@ -80,6 +80,11 @@ class Node:
     def now_ns(self) -> int:
         """Simulated time [ns]."""
         return self.domain.executor.now_ns
+
+    @property
+    def stamp(self) -> tuple[int, int]:
+        """Simulated time as a message has it: seconds, and nanoseconds of the next."""
+        return divmod(self.domain.executor.now_ns, SECOND)
 
     @property
     def rng(self) -> np.random.Generator:

@@ -36,7 +36,7 @@ RELIABLE = profile(1)  # rclcpp::QoS(1)
 DEFAULT = profile(10)  # rclcpp::QoS(10)
 LATCHED = profile(1, latched=True)
 SENSOR_DATA = profile(5, reliable=False)
-SYSTEM_SUBSCRIPTION = profile(1, reliable=False)  # rclcpp::SystemDefaultsQoS under Fast DDS
+SYSTEM = profile(1, reliable=False)  # rclcpp::SystemDefaultsQoS under Fast DDS
 ROSOUT = profile(1000, latched=True, lifespan=QosTime(10, 0))
 PARAMETER_EVENTS = profile(1000)
 CLOCK = profile(1, reliable=False)

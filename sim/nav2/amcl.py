@@ -16,7 +16,7 @@ from sim.arrays import Floats
 from sim.middleware import qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND, SECOND
-from sim.middleware.geometry import Pose2D, wrap_angle, yaw_quaternion
+from sim.middleware.geometry import Pose2D, pose_yaw, wrap_angle, yaw_quaternion
 from sim.middleware.stamps import header, stamp_ns
 from sim.middleware.tf import (
     TransformBroadcaster,
@@ -28,12 +28,10 @@ from sim.middleware.tf import (
 from sim.nav2.laser import beam_bearings
 from sim.nav2.lifecycle import LifecycleNode, nothing
 from sim.nav2.likelihood_field import LikelihoodField
-from sim.nav2.messages import pose_message, pose_yaw
+from sim.nav2.messages import POSE_ESTIMATE, pose_estimate
 from sim.nav2.particle_filter import MAX_PARTICLES, ParticleFilter
 
 _ParticleCloud = message_class("nav2_msgs/msg/ParticleCloud")
-_PoseWithCovariance = message_class("geometry_msgs/msg/PoseWithCovariance")
-_PoseWithCovarianceStamped = message_class("geometry_msgs/msg/PoseWithCovarianceStamped")
 
 MAP_FRAME = "map"
 ODOM_FRAME = "odom"
@@ -89,9 +87,7 @@ class Amcl(LifecycleNode):
         self._map_to_odom: Pose2D | None = None
         self._scan: Any = None  # the latest one
 
-        self._pose = self.create_publisher(
-            "geometry_msgs/msg/PoseWithCovarianceStamped", "/amcl_pose", qos.LATCHED
-        )
+        self._pose = self.create_publisher(POSE_ESTIMATE, "/amcl_pose", qos.LATCHED)
         self._cloud = self.create_publisher(_CLOUD_TYPE, "/particle_cloud", qos.SENSOR_DATA)
         for srvtype, service in _SERVICES:
             self.create_service(srvtype, service, nothing)
@@ -102,12 +98,7 @@ class Amcl(LifecycleNode):
         self.create_subscription(
             "sensor_msgs/msg/LaserScan", "/scan", self._on_scan, qos.SENSOR_DATA
         )
-        self.create_subscription(
-            "geometry_msgs/msg/PoseWithCovarianceStamped",
-            "/initialpose",
-            self._on_pose,
-            qos.SYSTEM_SUBSCRIPTION,
-        )
+        self.create_subscription(POSE_ESTIMATE, "/initialpose", self._on_pose, qos.SYSTEM)
 
     # -- input -----------------------------------------------------------------------------
 
@@ -162,15 +153,12 @@ class Amcl(LifecycleNode):
         self._updated_at = odom
         pose, covariance = belief.estimate()
         self._map_to_odom = pose.compose(odom.inverse())
-        empty = self._empty_cloud.data(*divmod(self.now_ns, SECOND))
+        empty = self._empty_cloud.data(*self.stamp)
         self._cloud.publish_serialized(_cloud_data(empty, belief))
         full = np.zeros((6, 6))
         full[_PLANAR] = covariance
-        message = _PoseWithCovarianceStamped(
-            header(stamp_ns(scan.header.stamp), MAP_FRAME),
-            _PoseWithCovariance(pose_message(pose.x, pose.y, pose.yaw), full.ravel()),
-        )
-        self._pose.publish(message)
+        time_ns = stamp_ns(scan.header.stamp)
+        self._pose.publish(pose_estimate(time_ns, pose, full.ravel()))
 
     def _send_transform(self, time_ns: int) -> None:
         if self._map_to_odom is not None:

@@ -16,13 +16,10 @@ from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND, Timer
 from sim.middleware.geometry import Pose2D
 from sim.middleware.node import Node
-from sim.middleware.stamps import header
 from sim.nav2 import actions
-from sim.nav2.messages import pose_message, pose_stamped
+from sim.nav2.messages import POSE_ESTIMATE, pose_estimate, pose_stamped
 
 _NavigateToPose = message_class("nav2_msgs/action/NavigateToPose_Goal")
-_PoseWithCovariance = message_class("geometry_msgs/msg/PoseWithCovariance")
-_PoseWithCovarianceStamped = message_class("geometry_msgs/msg/PoseWithCovarianceStamped")
 
 
 _OTHER_ACTIONS = (
@@ -59,15 +56,8 @@ class BasicNavigator(Node):
         self.results: list[GoalProgress] = []
         self.is_over = False
         self._localized = False
-        self._initial_pose = self.create_publisher(
-            "geometry_msgs/msg/PoseWithCovarianceStamped", "/initialpose"
-        )
-        self.create_subscription(
-            "geometry_msgs/msg/PoseWithCovarianceStamped",
-            "/amcl_pose",
-            self._on_amcl_pose,
-            qos.LATCHED,
-        )
+        self._initial_pose = self.create_publisher(POSE_ESTIMATE, "/initialpose")
+        self.create_subscription(POSE_ESTIMATE, "/amcl_pose", self._on_amcl_pose, qos.LATCHED)
         self._client = actions.client(self, "navigate_to_pose")
         for action in _OTHER_ACTIONS:
             actions.client(self, action)
@@ -82,12 +72,7 @@ class BasicNavigator(Node):
             if self._localized:
                 timer.cancel()
                 return
-            self._initial_pose.publish(
-                _PoseWithCovarianceStamped(
-                    header(self.now_ns, "map"),
-                    _PoseWithCovariance(pose_message(pose.x, pose.y, pose.yaw), np.zeros(36)),
-                )
-            )
+            self._initial_pose.publish(pose_estimate(self.now_ns, pose, np.zeros(36)))
 
         timer: Timer = self.create_timer(SECOND, publish, phase_ns=0)
 

@@ -307,12 +307,10 @@ class BehaviorServer(LifecycleNode):
             "geometry_msgs/msg/PolygonStamped",
             "/local_costmap/published_footprint",
             None,
-            qos.SYSTEM_SUBSCRIPTION,
+            qos.SYSTEM,
         )
-        self.create_subscription(TWIST, "/cmd_vel_teleop", None, qos.SYSTEM_SUBSCRIPTION)
-        self.create_subscription(
-            "std_msgs/msg/Empty", "/preempt_teleop", None, qos.SYSTEM_SUBSCRIPTION
-        )
+        self.create_subscription(TWIST, "/cmd_vel_teleop", None, qos.SYSTEM)
+        self.create_subscription("std_msgs/msg/Empty", "/preempt_teleop", None, qos.SYSTEM)
         Spin(self, self._surroundings)
         BackUp(self, self._surroundings)
         for name in ("drive_on_heading", "assisted_teleop"):

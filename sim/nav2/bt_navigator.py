@@ -116,14 +116,9 @@ class BtNavigator(LifecycleNode):
         """Make the tree, its nodes, and the endpoints."""
         self.create_subscription("tf2_msgs/msg/TFMessage", "/tf", None, qos.TF)
         self.create_subscription("tf2_msgs/msg/TFMessage", "/tf_static", None, _TF_STATIC)
+        self.create_subscription("nav_msgs/msg/Odometry", "/odom", self._on_odometry, qos.SYSTEM)
         self.create_subscription(
-            "nav_msgs/msg/Odometry", "/odom", self._on_odometry, qos.SYSTEM_SUBSCRIPTION
-        )
-        self.create_subscription(
-            "geometry_msgs/msg/PoseStamped",
-            "/goal_pose",
-            self._on_goal_pose,
-            qos.SYSTEM_SUBSCRIPTION,
+            "geometry_msgs/msg/PoseStamped", "/goal_pose", self._on_goal_pose, qos.SYSTEM
         )
         self._goals = SimpleActionServer(self, "navigate_to_pose", self._start, self._wake)
         actions.leave_unserved(self, ["navigate_through_poses"])

@@ -238,9 +238,8 @@ class CollisionMonitor(LifecycleNode):
         self._publisher.publish(twist_message(linear, angular), twist_bytes(linear, angular))
 
     def _publish_polygons(self) -> None:
-        stamp = divmod(self.now_ns, SECOND)
         for publisher, shape in self._shapes:
-            publisher.publish_serialized(shape.data(*stamp))
+            publisher.publish_serialized(shape.data(*self.stamp))
 
 
 def range_points(message: Any, sensor: Pose2D) -> Points:

@@ -136,9 +136,7 @@ class ControllerServer(LifecycleNode):
         self._local = self.create_publisher(PATH, "/local_plan", qos.RELIABLE)
         for topic, msgtype in SILENT.items():
             self.create_publisher(msgtype, topic, qos.RELIABLE)
-        self.create_subscription(
-            "nav_msgs/msg/Odometry", "/odom", self._on_odometry, qos.SYSTEM_SUBSCRIPTION
-        )
+        self.create_subscription("nav_msgs/msg/Odometry", "/odom", self._on_odometry, qos.SYSTEM)
         self.create_subscription("nav2_msgs/msg/SpeedLimit", "/speed_limit", self._on_speed_limit)
         self._goals = SimpleActionServer(self, "follow_path", self._start)
 

@@ -138,7 +138,7 @@ class _CostmapNode(LifecycleNode):
             "map_msgs/msg/OccupancyGridUpdate", f"/{label}/costmap_updates", qos.LATCHED
         )
         self.create_subscription(
-            "geometry_msgs/msg/Polygon", f"/{label}/footprint", None, qos.SYSTEM_SUBSCRIPTION
+            "geometry_msgs/msg/Polygon", f"/{label}/footprint", None, qos.SYSTEM
         )
         self._sources = [_ScanSource(self.frame) for _ in scan_topics]
         for topic, source in zip(scan_topics, self._sources, strict=True):
@@ -183,9 +183,7 @@ class _CostmapNode(LifecycleNode):
         self.grid.costs = costs
         self.is_current = True
         self.publish_layers(observations, cleared)
-        self._footprint.publish_serialized(
-            self._outline.data(*divmod(self.now_ns, SECOND), _points32(footprint))
-        )
+        self._footprint.publish_serialized(self._outline.data(*self.stamp, _points32(footprint)))
 
     def initial_grid(self) -> Costmap2D:
         """Return the grid to begin with."""
@@ -223,7 +221,7 @@ class _CostmapNode(LifecycleNode):
         self.update()
         if self.now_ns - self._published_ns > self.publish_period_ns:
             self._published_ns = self.now_ns
-            stamp, grid = divmod(self.now_ns, SECOND), self.grid
+            stamp, grid = self.stamp, self.grid
             origin = (grid.origin_x, grid.origin_y)
             if self._raw.has_subscribers():
                 self._raw.publish(

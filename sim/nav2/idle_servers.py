@@ -25,9 +25,7 @@ class SmootherServer(LifecycleNode):
         """Open the topics and offer the action."""
         self.create_publisher(PATH, "/plan_smoothed", qos.RELIABLE)
         self.create_subscription(COSTMAP, "/global_costmap/costmap_raw", None, qos.LATCHED)
-        self.create_subscription(
-            POLYGON, "/global_costmap/published_footprint", None, qos.SYSTEM_SUBSCRIPTION
-        )
+        self.create_subscription(POLYGON, "/global_costmap/published_footprint", None, qos.SYSTEM)
         actions.leave_unserved(self, ["smooth_path"])
 
 

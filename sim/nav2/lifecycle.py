@@ -63,7 +63,7 @@ class _Bond:
         node.create_timer(HEARTBEAT_NS, self._beat, phase_ns=0)
 
     def _beat(self) -> None:
-        self._publisher.publish_serialized(self._status.data(*divmod(self._node.now_ns, SECOND)))
+        self._publisher.publish_serialized(self._status.data(*self._node.stamp))
 
 
 class LifecycleNode(Node):

@@ -5,14 +5,18 @@ from typing import Any
 
 from oracle_pipeline.bags.cdr import ENCAPSULATION
 from oracle_pipeline.bags.types import message_class
-from sim.middleware.geometry import quaternion_yaw, yaw_quaternion
+from sim.arrays import Floats
+from sim.middleware.geometry import Pose2D, yaw_quaternion
 from sim.middleware.stamps import header
 
 TWIST = "geometry_msgs/msg/Twist"
+POSE_ESTIMATE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 _Point = message_class("geometry_msgs/msg/Point")
 _Pose = message_class("geometry_msgs/msg/Pose")
+_PoseEstimate = message_class(POSE_ESTIMATE)
 _PoseStamped = message_class("geometry_msgs/msg/PoseStamped")
+_PoseWithCovariance = message_class("geometry_msgs/msg/PoseWithCovariance")
 _Quaternion = message_class("geometry_msgs/msg/Quaternion")
 _Twist = message_class(TWIST)
 _Vector3 = message_class("geometry_msgs/msg/Vector3")
@@ -40,7 +44,10 @@ def pose_stamped(time_ns: int, frame: str, x: float, y: float, yaw: float) -> An
     return _PoseStamped(header(time_ns, frame), pose_message(x, y, yaw))
 
 
-def pose_yaw(pose: Any) -> float:
-    """Return the yaw of a pose message [rad]."""
-    q = pose.orientation
-    return quaternion_yaw(q.x, q.y, q.z, q.w)
+def pose_estimate(time_ns: int, pose: Pose2D, covariance: Floats) -> Any:
+    """Return ``geometry_msgs/msg/PoseWithCovarianceStamped`` in the map frame.
+
+    ``covariance`` is that of x, y, z, roll, pitch and yaw, shape (36,).
+    """
+    where = _PoseWithCovariance(pose_message(pose.x, pose.y, pose.yaw), covariance)
+    return _PoseEstimate(header(time_ns, "map"), where)

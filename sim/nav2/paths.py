@@ -16,8 +16,9 @@ from oracle_pipeline.bags.cdr import ENCAPSULATION, aligned
 from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.bags.types import message_class, serialize
 from sim.arrays import Floats
+from sim.middleware.geometry import pose_yaw
 from sim.middleware.stamps import header
-from sim.nav2.messages import pose_stamped, pose_yaw
+from sim.nav2.messages import pose_stamped
 
 PATH = "nav_msgs/msg/Path"
 Poses = NDArray[np.float64]  # shape (n, 3): x [m], y [m], yaw [rad]

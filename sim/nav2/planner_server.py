@@ -12,13 +12,12 @@ from sim.middleware import qos
 from sim.middleware.action import ActionServer, GoalHandle, GoalStatus
 from sim.middleware.domain import Domain
 from sim.middleware.executor import MILLISECOND
-from sim.middleware.geometry import Pose2D
+from sim.middleware.geometry import Pose2D, pose_yaw
 from sim.middleware.stamps import duration_message
 from sim.nav2 import navfn
 from sim.nav2.actions import leave_unserved
 from sim.nav2.costmap_node import GlobalCostmap
 from sim.nav2.lifecycle import LifecycleNode, nothing
-from sim.nav2.messages import pose_yaw
 from sim.nav2.paths import PATH, Poses, path_bytes, path_message
 
 _ACTION = "nav2_msgs/action/ComputePathToPose"

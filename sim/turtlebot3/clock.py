@@ -4,7 +4,7 @@ from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
 from sim.middleware import qos
 from sim.middleware.domain import Domain
-from sim.middleware.executor import MILLISECOND, SECOND
+from sim.middleware.executor import MILLISECOND
 from sim.middleware.node import Node
 from sim.middleware.stamps import header, time_message
 
@@ -33,7 +33,7 @@ class Gazebo(Node):
         self.create_timer(METRICS_NS, self._report)
 
     def _tick(self) -> None:
-        self._clock.publish_serialized(self._time.data(*divmod(self.now_ns, SECOND)))
+        self._clock.publish_serialized(self._time.data(*self.stamp))
 
     def _report(self) -> None:
-        self._metrics.publish_serialized(self._performance.data(*divmod(self.now_ns, SECOND)))
+        self._metrics.publish_serialized(self._performance.data(*self.stamp))

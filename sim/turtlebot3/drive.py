@@ -153,10 +153,8 @@ class JointStatePlugin(Node):
 
     def _publish(self) -> None:
         angles, speeds = self._measure()
-        stamp = divmod(self.now_ns, SECOND)
-        self._publisher.publish(
-            _joint_state(self.now_ns, angles, speeds), self._bytes.data(*stamp, angles, speeds)
-        )
+        data = self._bytes.data(*self.stamp, angles, speeds)
+        self._publisher.publish(_joint_state(self.now_ns, angles, speeds), data)
 
 
 def _joint_state(time_ns: int, angles: Wheels, speeds: Wheels) -> Any:

@@ -205,10 +205,8 @@ class LaserPlugin(Node):
     def _publish(self) -> None:
         exact = self._measure(self._bearings, SCAN_RANGE_MAX_M)
         ranges = noisy_ranges(exact, self._noise, self.rng)
-        now_ns = self.now_ns
-        self._publisher.publish(
-            self._scan(now_ns, ranges), self._template.data(*divmod(now_ns, SECOND), ranges)
-        )
+        data = self._template.data(*self.stamp, ranges)
+        self._publisher.publish(self._scan(self.now_ns, ranges), data)
 
     def _scan(self, time_ns: int, ranges: NDArray[np.float32]) -> object:
         return _LaserScan(
@@ -266,10 +264,8 @@ class RangePlugin(Node):
             measured = math.inf
         elif measured < INFRARED_MIN_M:
             measured = -math.inf
-        now_ns = self.now_ns
-        self._publisher.publish(
-            _range_message(now_ns, measured), self._template.data(*divmod(now_ns, SECOND), measured)
-        )
+        data = self._template.data(*self.stamp, measured)
+        self._publisher.publish(_range_message(self.now_ns, measured), data)
 
 
 def _range_message(time_ns: int, measured: float) -> object:

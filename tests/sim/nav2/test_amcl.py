@@ -9,13 +9,13 @@ from scipy.sparse.csgraph import connected_components
 from oracle_pipeline.bags.types import deserialize, message_class
 from sim.middleware import qos
 from sim.middleware.executor import SECOND
-from sim.middleware.geometry import Pose2D, wrap_angle
+from sim.middleware.geometry import Pose2D, pose_yaw, wrap_angle
 from sim.middleware.stamps import header, stamp_ns
 from sim.nav2 import particle_filter
 from sim.nav2.amcl import Amcl
 from sim.nav2.likelihood_field import LikelihoodField
 from sim.nav2.map_server import MapServer, OccupancyMap
-from sim.nav2.messages import pose_message, pose_yaw, twist_message
+from sim.nav2.messages import pose_message, twist_message
 from sim.nav2.particle_filter import (
     MAX_PARTICLES,
     MIN_PARTICLES,
