@@ -5,6 +5,7 @@ and over a recorded bag: the draws for a message depend on the stamp in its head
 if it has none), never on earlier messages. Times are those of publishing, which a recorder stores.
 """
 
+import copy
 import functools
 import math
 from collections import deque
@@ -85,12 +86,19 @@ class _Shared:
 
     state: dict[str, Any]
     sources: dict[str, Any]
-    source_ns: dict[str, int]
+    source_ns: dict[str, int] = field(default_factory=dict)  # when each was published
     underived: dict[str, Callable[[], Any]] = field(default_factory=dict)  # by source
     acted: int = 0  # messages and timer ticks so far
     ends_s: float = math.inf
     index: int = 0  # draw index of the last main message
     main_ns: int | None = None  # when it was published
+
+    @classmethod
+    def of(cls, program: Program) -> "_Shared":
+        return cls(
+            {name: copy.copy(value) for name, value in program.state.items()},
+            {name: missing(source.value) for name, source in program.sources.items()},
+        )
 
 
 class Execution:
@@ -124,23 +132,14 @@ class Execution:
     ) -> None:
         self.program = program
         self._draws = draws
-        self._known = {"p": dict(parameters), "c": program.constants}
         self._is_main = main is None
-        self._shared: _Shared = (
-            main._shared
-            if main
-            else _Shared(
-                {
-                    name: dict(value) if isinstance(value, dict) else value
-                    for name, value in program.state.items()
-                },
-                {name: missing(source.value) for name, source in program.sources.items()},
-                {},
-            )
-        )
-        self._state = self._shared.state
-        self._sources = self._shared.sources
-        self._source_ns = self._shared.source_ns
+        self._shared: _Shared = main._shared if main else _Shared.of(program)
+        self._known = {
+            "p": dict(parameters),
+            "c": program.constants,
+            "state": self._shared.state,
+            "src": self._shared.sources,
+        }
         self._recent: deque[Any] = deque(maxlen=program.memory + 1)
         self._memory: dict[int, Any] = {}
         self._received = 0
@@ -169,17 +168,17 @@ class Execution:
         """
         source = self.program.sources[name]
         message = source.as_sent(message)
-        self._source_ns[name] = stamp_ns
+        self._shared.source_ns[name] = stamp_ns
         if source.let:
             derived = functools.partial(self._derived, source, message, stamp_ns)
             self._shared.underived[name] = derived
         else:
-            self._sources[name] = message
+            self._shared.sources[name] = message
 
     def _derive(self) -> None:
         """Compute values of the latest messages of sources: most have a later one before use."""
         for name, derived in self._shared.underived.items():
-            self._sources[name] = derived()
+            self._shared.sources[name] = derived()
         self._shared.underived.clear()
 
     def _derived(self, source: Source, message: Any, stamp_ns: int) -> dict[str, Any]:
@@ -227,9 +226,7 @@ class Execution:
         index = self._synchronised(index, stamp_ns)
         sent = self.program.as_sent(message)
         self._recent.append(sent)
-        step = self._step(
-            stamp_ns, index, {"msg": sent, "state": self._state, "src": self._sources, "t": t_s}
-        )
+        step = self._step(stamp_ns, index, {"msg": sent, "t": t_s})
         step.header = header
         step.message = sent
         self._received += 1
@@ -266,7 +263,7 @@ class Execution:
         is_active = control != "passthrough" and self._is_active(t_s)
         if timer is None or not is_active or self._missing_source(now_ns):
             return Result([], None)
-        step = self._step(now_ns, now_ns, {"state": self._state, "src": self._sources, "t": t_s})
+        step = self._step(now_ns, now_ns, {"t": t_s})
         if self._has_header:
             step.header = make_header(now_ns, self._frame_id)
         self._forget(now_ns)
@@ -342,7 +339,7 @@ class Execution:
     def _missing_source(self, stamp_ns: int) -> tuple[str, str] | None:
         """Return why a source is not usable, and the action for this case."""
         for name, source in self.program.sources.items():
-            received_ns = self._source_ns.get(name)
+            received_ns = self._shared.source_ns.get(name)
             if received_ns is None:
                 return f"no {name} yet", source.on_missing
             if source.max_age_ns is not None and stamp_ns - received_ns > source.max_age_ns:
@@ -375,7 +372,7 @@ class Execution:
     def _forget(self, now_ns: int) -> None:
         """Remove the expired rows of tables; the oldest come first."""
         for name, lifetime_ns in self.program.lifetimes_ns.items():
-            rows = self._state[name]
+            rows = self._shared.state[name]
             while rows:
                 oldest = next(iter(rows))
                 if now_ns - rows[oldest][STORED_NS] <= lifetime_ns:

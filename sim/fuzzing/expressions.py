@@ -205,9 +205,8 @@ class _Compiler(ast.NodeVisitor):
             self._refuse(node, f"{name!r} is unknown; known are {listed(self._names)}")
         self.used.add(name)
         vector = self._vectors.get(name, False)
-        return self._load(
-            self._names[name], vector, self._elements if vector else 1, operator.itemgetter(name)
-        )
+        cost = self._elements if vector else 1
+        return self._load(self._names[name], vector, cost, operator.itemgetter(name))
 
     def visit_Attribute(self, node: ast.Attribute) -> _Node:
         """Compile a field of a record."""
@@ -219,15 +218,9 @@ class _Compiler(ast.NodeVisitor):
         if node.attr not in record.type.fields:
             fields = listed(record.type.fields)
             self._refuse(node, f"{record.type} has no field {node.attr!r}; it has {fields}")
-        read = (operator.attrgetter if isinstance(record.type, Message) else operator.itemgetter)(
-            node.attr
-        )
-        return self._load(
-            record.type.fields[node.attr],
-            False,
-            record.cost + 1,
-            lambda frame: read(record.run(frame)),
-        )
+        getter = operator.attrgetter if isinstance(record.type, Message) else operator.itemgetter
+        read, kind = getter(node.attr), record.type.fields[node.attr]
+        return self._load(kind, False, record.cost + 1, lambda frame: read(record.run(frame)))
 
     def visit_Subscript(self, node: ast.Subscript) -> _Node:
         """Compile an element of an array or a row of a table."""
@@ -235,13 +228,12 @@ class _Compiler(ast.NodeVisitor):
         cost = whole.cost + index.cost + (self._elements if index.vector else 1)
         if isinstance(whole.type, Table) and isinstance(index.type, Text):
             row = whole.type.row
-            absent = missing(row)
-            return self._load(
-                row,
-                False,
-                cost,
-                lambda frame: whole.run(frame).get(strip_padding(index.run(frame)), absent),
-            )
+            no_row = missing(row)
+
+            def read_row(frame: Frame) -> Any:
+                return whole.run(frame).get(strip_padding(index.run(frame)), no_row)
+
+            return self._load(row, False, cost, read_row)
         if not isinstance(whole.type, Array) or not isinstance(index.type, Number):
             self._refuse(node, f"{whole.type} has no element [{index.type}]")
         element = whole.type.element
@@ -249,12 +241,11 @@ class _Compiler(ast.NodeVisitor):
             self._refuse(node, f"one {element} at a time: the index must be one number")
         pick = arithmetic.elements if index.vector else arithmetic.element
         absent = missing(element)
-        return self._load(
-            element,
-            index.vector,
-            cost,
-            lambda frame: pick(whole.run(frame), index.run(frame), absent),
-        )
+
+        def read(frame: Frame) -> Any:
+            return pick(whole.run(frame), index.run(frame), absent)
+
+        return self._load(element, index.vector, cost, read)
 
     def visit_BinOp(self, node: ast.BinOp) -> _Node:
         """Compile arithmetic."""

@@ -18,11 +18,11 @@ from sim.fuzzing.value_types import (
     FLOAT,
     INTEGER,
     Array,
-    Message,
     Number,
     Table,
     Text,
     Type,
+    message_type,
     strip_padding,
 )
 from sim.middleware.geometry import quaternion_yaw, wrap_angle
@@ -206,17 +206,11 @@ def _all_numbers(types: Types) -> bool:
 
 
 def _something_long(types: Types) -> Type | None:
-    match types:
-        case [Array() | Text() | Table()]:
-            return INTEGER
-    return None
+    return INTEGER if len(types) == 1 and isinstance(types[0], Array | Text | Table) else None
 
 
 def _quaternion(types: Types) -> Type | None:
-    match types:
-        case [Message("geometry_msgs/msg/Quaternion")]:
-            return FLOAT
-    return None
+    return FLOAT if [*types] == [message_type("geometry_msgs/msg/Quaternion")] else None
 
 
 def _point_and_polygon(types: Types) -> Type | None:
