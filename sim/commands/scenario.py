@@ -96,10 +96,8 @@ def _known() -> dict[str, Scenario]:
     """Return all scenarios that have a name; shadows go by that of their attack."""
     own = {mode.id: mode.scenario for mode in modes().values()}
     shadows = {scenario.as_shadow().id for scenario in builtin_scenarios().values()}
-    return {
-        **builtin_scenarios(),
-        **{name: scenario for name, scenario in own.items() if name not in shadows},
-    }
+    own = {name: scenario for name, scenario in own.items() if name not in shadows}
+    return {**builtin_scenarios(), **own}
 
 
 def _described(scenario: Scenario) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 All frames that navigation looks up move in the plane, so a transform is kept as x, y and yaw.
 """
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ _TRIMMED_ABOVE = 1024  # samples; old ones are dropped rarely, as all others hav
 _FRAMES = 32  # for which there is room at first
 _LATEST = -(2**63)  # a time that stands for the newest sample of each link
 _TF = "tf2_msgs/msg/TFMessage"
-_TF_STATIC_QOS = qos.profile(100, latched=True)
+_TF_STATIC = qos.profile(100, latched=True)
 
 _PARENT, _COUNT, _STATIC = 0, 1, 2  # columns of the links
 _NONE, _UNCONNECTED = -1, -2  # instead of a row
@@ -213,18 +214,10 @@ class TransformListener(Node):
 
     def __init__(self, domain: Domain, suffix: str, buffer: TransformBuffer | None = None) -> None:
         super().__init__(domain, f"/transform_listener_impl_{suffix}", endpoints="E")
-        feed = buffer is None
-        self.buffer = TransformBuffer() if buffer is None else buffer
-        self.create_subscription(_TF, "/tf", self._on_tf if feed else None, qos.TF)
-        self.create_subscription(
-            _TF, "/tf_static", self._on_tf_static if feed else None, _TF_STATIC_QOS
-        )
-
-    def _on_tf(self, message: Any) -> None:
-        self.buffer.receive(message, static=False)
-
-    def _on_tf_static(self, message: Any) -> None:
-        self.buffer.receive(message, static=True)
+        self.buffer = buffer or TransformBuffer()
+        for topic, static, profile in (("/tf", False, qos.TF), ("/tf_static", True, _TF_STATIC)):
+            receive = functools.partial(self.buffer.receive, static=static)
+            self.create_subscription(_TF, topic, None if buffer else receive, profile)
 
 
 class TransformBroadcaster:

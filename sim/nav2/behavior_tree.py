@@ -167,27 +167,21 @@ class RecoveryNode(_ControlNode):
     def tick(self) -> NodeStatus:
         """Tick the child, or the recovery after a failure."""
         self.set_status(NodeStatus.RUNNING)
-        child, recovery = self.children
         while True:
-            if not self._recovering:
-                status = child.execute()
-                if status is NodeStatus.RUNNING:
-                    return status
-                if status is NodeStatus.SUCCESS or self._tries >= self._retries:
-                    self.halt()
-                    return status
-                self.halt_child(child)
-                self._recovering = True
+            node = self.children[self._recovering]
+            status = node.execute()
+            if status is NodeStatus.RUNNING:
+                return status
+            if self._recovering:
+                is_over = status is NodeStatus.FAILURE
             else:
-                status = recovery.execute()
-                if status is NodeStatus.RUNNING:
-                    return status
-                if status is NodeStatus.FAILURE:
-                    self.halt()
-                    return status
-                self.halt_child(recovery)
-                self._recovering = False
-                self._tries += 1
+                is_over = status is NodeStatus.SUCCESS or self._tries >= self._retries
+            if is_over:
+                self.halt()
+                return status
+            self.halt_child(node)
+            self._tries += self._recovering
+            self._recovering = not self._recovering
 
 
 class ReactiveFallback(_ControlNode):
