@@ -11,7 +11,7 @@ from itertools import starmap
 
 from sim.middleware.geometry import Pose2D
 from sim.turtlebot3.arena import HEXAGON, RING_THICKNESS, Arena, Box, Cylinder, Hexagon, Prism
-from sim.turtlebot3.pedestrian import HEIGHT_M, RADIUS_M, Walk
+from sim.turtlebot3.pedestrian import PERSON, Walk
 
 STEP_NS = 5_000_000
 
@@ -23,7 +23,6 @@ WALL_THICKNESS = 0.15  # of the walls around a drawn arena [m]
 _MOTOR_GAIN = 0.2  # [N m s/rad]
 
 AROUND, ROBOT, FLOOR = 0, 1, 2  # geom groups
-PERSON = "person"  # the only piece that moves
 # A wheel touches the floor at one point, as a sphere does: the two edges of a cylinder would slip
 # against each other in every turn. The cylinder touches the pieces of the world.
 _TREAD_BIT = 2
@@ -41,16 +40,19 @@ class WorldParameters:
     arena: Arena = HEXAGON
     walk: Walk | None = None  # of a person
 
+    @property
+    def unmapped(self) -> tuple[Cylinder, ...]:
+        """The pieces that are on no map; a person, the only one that moves, is the last."""
+        return (*self.obstacles, PERSON) if self.walk else tuple(self.obstacles)
+
 
 def pieces(parameters: WorldParameters) -> dict[str, str]:
-    """Return name -> geoms of every piece of the world; a person is the last, if there is one."""
+    """Return name -> geoms of every piece of the world, those that are on no map last."""
     arena = parameters.arena
-    person = Cylinder(PERSON, 0.0, 0.0, RADIUS_M, HEIGHT_M)
     return {
         **{block.name: _block(block) for block in arena.blocks},
         arena.boundary.name: _wall_around(arena.boundary),
-        **{c.name: _cylinder(c) for c in (*arena.pillars, *parameters.obstacles)},
-        **({PERSON: _cylinder(person)} if parameters.walk else {}),
+        **{c.name: _cylinder(c) for c in (*arena.pillars, *parameters.unmapped)},
     }
 
 
@@ -109,7 +111,7 @@ def mjcf(parameters: WorldParameters, *, with_pieces: bool = True) -> str:
 
 
 def _piece(name: str, geoms: str) -> str:
-    moves = ' mocap="true"' if name == PERSON else ""
+    moves = ' mocap="true"' if name == PERSON.name else ""
     return f'<body name="{name}"{moves}>{geoms}</body>'
 
 

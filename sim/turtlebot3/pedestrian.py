@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.middleware.geometry import Pose2D
-from sim.turtlebot3.arena import Arena
+from sim.turtlebot3.arena import Arena, Cylinder
 
-RADIUS_M, HEIGHT_M = 0.2, 1.7
+PERSON = Cylinder("person", 0.0, 0.0, radius=0.2, height=1.7)  # to be moved to its place
 _SPEED_M_S = (0.3, 0.8)  # least and most
 _STAY_S = (3.0, 10.0)  # at an end, least and most
 _REACH_M = 1.5  # from the robot's way to an end of the walk, at most
@@ -48,9 +48,9 @@ def draw_walk(rng: np.random.Generator, arena: Arena, robot: Pose2D, x: float, y
 
 def _end(arena: Arena, x: float, y: float, yaw: float) -> tuple[float, float]:
     """Return the last point before an obstacle, seen from a place in a direction."""
-    ahead = np.arange(0.0, _REACH_M, RADIUS_M / 4.0)[:, None]
+    ahead = np.arange(0.0, _REACH_M, PERSON.radius / 4.0)[:, None]
     points = np.array([x, y]) + ahead * (math.cos(yaw), math.sin(yaw))
-    blocked = np.flatnonzero(arena.clearance(points) < RADIUS_M)
+    blocked = np.flatnonzero(arena.clearance(points) < PERSON.radius)
     last = len(points) - 1 if not len(blocked) else max(int(blocked[0]) - 1, 0)
     return points[last, 0].item(), points[last, 1].item()
 

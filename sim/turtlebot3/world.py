@@ -16,10 +16,9 @@ from mujoco.rollout import Rollout
 from oracle_pipeline.bags.jit import jit
 from sim.arrays import Floats
 from sim.middleware.geometry import Pose2D, quaternion_yaw, wrapped
-from sim.turtlebot3.arena import Cylinder
 from sim.turtlebot3.clear_space import ClearSpace
-from sim.turtlebot3.mjcf import AROUND, PERSON, STEP_NS, WorldParameters, mjcf, pieces
-from sim.turtlebot3.pedestrian import RADIUS_M, Pedestrian
+from sim.turtlebot3.mjcf import AROUND, STEP_NS, WorldParameters, mjcf, pieces
+from sim.turtlebot3.pedestrian import Pedestrian
 from sim.turtlebot3.rays import Geom, Rays
 from sim.turtlebot3.wheel_odometry import Wheels
 
@@ -96,8 +95,7 @@ class World:
         self._arena = parameters.arena
         self._obstacles = parameters.obstacles
         self._pedestrian = Pedestrian(parameters.walk) if parameters.walk else None
-        person = [Cylinder(PERSON, 0.0, 0.0, RADIUS_M)] if parameters.walk else []
-        self._clear = ClearSpace(parameters.arena, [*parameters.obstacles, *person])
+        self._clear = ClearSpace(parameters.arena, parameters.unmapped)
         self._is_clear = False  # whether the robot is known to be clear of all pieces
         start = parameters.start
         self._data.qpos[:7] = (

@@ -12,8 +12,8 @@ from sim.experiments import recipe_for
 from sim.middleware.geometry import Pose2D
 from sim.turtlebot3.arena import Cylinder
 from sim.turtlebot3.floor_plans import draw_arena
-from sim.turtlebot3.mjcf import PERSON, WorldParameters
-from sim.turtlebot3.pedestrian import HEIGHT_M, RADIUS_M, Pedestrian, Walk, draw_walk
+from sim.turtlebot3.mjcf import WorldParameters
+from sim.turtlebot3.pedestrian import PERSON, Pedestrian, Walk, draw_walk
 from sim.turtlebot3.world import World
 
 STEP_NS = 20_000_000
@@ -47,15 +47,15 @@ def test_walks_between_the_ends_of_the_walk_and_stays_there() -> None:
 @given(seed=st.integers(0, 999), x=coordinates, y=coordinates)
 def test_a_drawn_walk_keeps_clear_of_the_arena(seed: int, x: float, y: float) -> None:
     arena = draw_arena("random", seed % 3)
-    if arena.clearance(np.array([[x, y]]))[0] < RADIUS_M:
+    if arena.clearance(np.array([[x, y]]))[0] < PERSON.radius:
         return
     walk = draw_walk(np.random.default_rng(seed), arena, Pose2D(), x, y)
     line = np.linspace(walk.start, walk.end, 60)
-    assert arena.clearance(line).min() > RADIUS_M - 0.03
+    assert arena.clearance(line).min() > PERSON.radius - 0.03
     assert math.dist(walk.start, (0, 0)) >= math.dist(walk.end, (0, 0))
 
 
-@pytest.mark.parametrize("height", [0.1, 0.182, 0.3, HEIGHT_M - 0.01])
+@pytest.mark.parametrize("height", [0.1, 0.182, 0.3, PERSON.height - 0.01])
 def test_rays_at_every_height_of_a_person_end_where_the_person_is(height: float) -> None:
     world = World(WorldParameters(Pose2D(-2.0, -0.5), walk=WALK))
     person = Pedestrian(WALK)
@@ -65,7 +65,7 @@ def test_rays_at_every_height_of_a_person_end_where_the_person_is(height: float)
         for step_ns in range(world.time_ns, time_ns, STEP_NS):
             world.advance_to(step_ns)
             person.walk_until(step_ns, world.pose)
-        pillar = Cylinder("pillar", *person.position, RADIUS_M, HEIGHT_M)
+        pillar = Cylinder("pillar", *person.position, PERSON.radius, PERSON.height)
         still = World(WorldParameters(Pose2D(-2.0, -0.5), obstacles=(pillar,)))
         ranges = world.scan(Pose2D(), height, bearings, 4.0)
         assert ranges == pytest.approx(still.scan(Pose2D(), height, bearings, 4.0), abs=1e-3)
@@ -79,8 +79,8 @@ def test_a_robot_that_drives_into_a_person_touches_the_person() -> None:
     world.command_wheels(6.0, 6.0)  # 0.2 m/s
     for time_ns in range(0, 4_000_000_000, STEP_NS):
         world.advance_to(time_ns)
-    assert [touch.piece for touch in world.touches][:1] == [PERSON]
-    assert world.pose.x < -1.4 - RADIUS_M + 0.05
+    assert [touch.piece for touch in world.touches][:1] == [PERSON.name]
+    assert world.pose.x < -1.4 - PERSON.radius + 0.05
 
 
 def test_only_the_recipe_of_a_pedestrian_names_one() -> None:
