@@ -4,7 +4,7 @@ It is ``BasicNavigator`` of ``nav2_simple_commander``, which opens a client for 
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +33,11 @@ _SERVICES = (
     "/global_costmap/get_costmap",
     "/local_costmap/get_costmap",
 )
+_OUTCOMES: dict[GoalStatus, GoalOutcome] = {
+    GoalStatus.SUCCEEDED: "succeeded",
+    GoalStatus.ABORTED: "aborted",
+    GoalStatus.CANCELED: "canceled",
+}
 
 
 class BasicNavigator(Node):
@@ -97,7 +102,7 @@ class BasicNavigator(Node):
             result.number_of_recoveries = int(feedback.number_of_recoveries)
 
         def on_result(status: GoalStatus, _result: Any) -> None:
-            result.end(self.now_ns, cast(GoalOutcome, status.name.lower()))
+            result.end(self.now_ns, _OUTCOMES[status])
             self.follow(others if status is GoalStatus.SUCCEEDED else [], on_accepted)
 
         pose = pose_stamped(self.now_ns, "map", goal.x, goal.y, goal.yaw)

@@ -167,8 +167,9 @@ class RecoveryNode(_ControlNode):
     def tick(self) -> NodeStatus:
         """Tick the child, or the recovery after a failure."""
         self.set_status(NodeStatus.RUNNING)
+        child, recovery = self.children
         while True:
-            node = self.children[self._recovering]
+            node = recovery if self._recovering else child
             status = node.execute()
             if status is NodeStatus.RUNNING:
                 return status
@@ -180,7 +181,8 @@ class RecoveryNode(_ControlNode):
                 self.halt()
                 return status
             self.halt_child(node)
-            self._tries += self._recovering
+            if self._recovering:
+                self._tries += 1
             self._recovering = not self._recovering
 
 
