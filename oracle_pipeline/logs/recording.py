@@ -107,11 +107,12 @@ def _typed(topic: LogTopic) -> NDArray[Any]:
     """Lay out the columns as messages of a ROS type; other fields are 0."""
     prototype = _blank(topic.msgtype)
     for path, text in topic.texts.items():
-        *parents, last = path.split(".")
-        owner = prototype
-        for parent in parents:
-            owner = getattr(owner, parent)
+        owner, last = _owner(prototype, path)
         setattr(owner, last, text)
+    for path, values in topic.columns.items():
+        owner, last = _owner(prototype, path)
+        if values.ndim > 1 and len(getattr(owner, last)) == 0:  # a sequence, such as ranges
+            setattr(owner, last, np.zeros(values.shape[1], getattr(owner, last).dtype))
     count = len(topic.times_ns)
     columns = dict(topic.columns)
     if hasattr(prototype, "header") and STAMP[0] not in columns:
@@ -123,6 +124,12 @@ def _typed(topic: LogTopic) -> NDArray[Any]:
     except (ValueError, KeyError) as error:
         raise LogError(f"{topic.name} does not fit {topic.msgtype}: {error}.") from error
     return rows.view(np.uint8).reshape(count, -1)
+
+
+def _owner(message: Any, path: str) -> tuple[Any, str]:
+    """Return the part of a message that has the field at a path, and the field's name."""
+    *parents, last = path.split(".")
+    return functools.reduce(getattr, parents, message), last
 
 
 def _blank(msgtype: str) -> Any:

@@ -2,7 +2,7 @@
 
 It prints one table::
 
-    python -m tools.robotbench FOLDER              # with crazyflie/, uci_arm/, arm/, kairos/
+    python -m tools.robotbench FOLDER              # with crazyflie/, uci_arm/ and so on
     python -m tools.robotbench FOLDER crazyflie    # one set
 
 Normal recordings are split by session where there are at least three, else one by one. Each is

@@ -1,5 +1,6 @@
 """Labelled recordings of real robots as cases: what each label means is in the folder's README."""
 
+import json
 import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -8,11 +9,16 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from oracle_pipeline.logs.dataflash import read_dataflash
+from oracle_pipeline.logs.log import Log, LogTopic
+from oracle_pipeline.logs.recording import write_bag
 from tools.robotbench.faults import FAULTS, Tables
 
-_PART_S = {"kairos": 8.0, "faults": 15.0, "arm": 15.0}  # length of the parts of long drives
+# Length of the parts of long recordings.
+_PART_S = {"kairos": 8.0, "faults": 15.0, "arm": 15.0, "flight": 15.0}
 _UCI_STEP_S = 0.315 / 15
 _UCI_COLUMNS = ("fx", "fy", "fz", "tx", "ty", "tz")
+_FLYING_US = 1250  # width of a motor's pulse, above which the quadcopter flies
 
 
 class Case(NamedTuple):
@@ -83,6 +89,98 @@ def arm(source: Path, work: Path) -> Iterator[Case]:
             yield Case(part, sequence.name, faulty > 0.0, faulty)
 
 
+def quadcopter(task: str) -> Callable[[Path, Path], Iterator[Case]]:
+    """Return the loader of a quadcopter's flights of one task, whole propellers or one cut.
+
+    Parts of a flight between take-off and landing are recordings; dose in mm cut.
+    """
+
+    def load(source: Path, work: Path) -> Iterator[Case]:
+        for file in sorted(source.glob(f"{task}/*/*.BIN")):
+            cut = re.match(r"\d+", file.name)
+            log = read_dataflash(file)
+            pulses = next(topic for topic in log.topics if topic.name == "/RCOU")
+            flying = pulses.times_ns[pulses.columns["C1"] > _FLYING_US]
+            part_ns = int(_PART_S["flight"] * 1e9)
+            for begin in range(flying[0], flying[-1] - part_ns, part_ns):
+                bag = work / f"{file.stem}_{begin}"
+                write_bag(_between(log, begin, begin + part_ns), bag)
+                yield Case(bag, file.stem, cut is not None, float(cut[0]) if cut else np.nan)
+
+    return load
+
+
+def _between(log: Log, begin_ns: int, end_ns: int) -> Log:
+    """Return the messages of some time; a topic without any is left out."""
+    topics = []
+    for topic in log.topics:
+        rows = (topic.times_ns >= begin_ns) & (topic.times_ns < end_ns)
+        if rows.any():
+            columns = {name: values[rows] for name, values in topic.columns.items()}
+            topics.append(topic._replace(times_ns=topic.times_ns[rows], columns=columns))
+    return Log(topics)
+
+
+def jackal(safe: str, unsafe: str) -> Callable[[Path, Path], Iterator[Case]]:
+    """Return the loader of some seconds of a wheeled robot that meets something that moves.
+
+    Half of the set mirrors the other half left to right; those recordings are left out.
+    """
+
+    def load(source: Path, work: Path) -> Iterator[Case]:
+        for kind in (safe, unsafe):
+            known = set()
+            for file in sorted(source.glob(f"{kind}/*/{kind}_*.json")):
+                frames = pd.DataFrame(json.loads(file.read_text())["frames"])
+                speeds = tuple(forward for forward, _ in frames["lin_vel"])
+                if speeds in known:
+                    continue
+                known.add(speeds)
+                write_bag(Log(_topics(frames)), work / file.stem)
+                yield Case(work / file.stem, file.stem, kind == unsafe)
+
+    return load
+
+
+def _topics(frames: pd.DataFrame) -> list[LogTopic]:
+    """Return the frames of a Jackal as messages; its heading is the integral of its turning."""
+    times_ns = (frames["timestamp"].to_numpy() * 1e9).astype(np.int64)
+    position, speed, acceleration = (
+        np.array(frames[name].to_list()) for name in ("position", "lin_vel", "lin_acc")
+    )
+    scan, turn = np.array(frames["scan"].to_list()), frames["ang_vel"].to_numpy()
+    steps = np.diff(frames["timestamp"], prepend=frames["timestamp"][0])
+    half = np.cumsum(turn * steps) / 2.0
+    zero = np.zeros(len(frames))
+    odometry = {
+        "pose.pose.position.x": position[:, 0],
+        "pose.pose.position.y": position[:, 1],
+        "pose.pose.orientation.z": np.sin(half),
+        "pose.pose.orientation.w": np.cos(half),
+        "twist.twist.linear.x": speed[:, 0],
+        "twist.twist.linear.y": speed[:, 1],
+        "twist.twist.angular.z": turn,
+    }
+    imu = {
+        "linear_acceleration.x": acceleration[:, 0],
+        "linear_acceleration.y": acceleration[:, 1],
+        "angular_velocity.z": turn,
+    }
+    angles = scan[0, :, 0]
+    ranges = {
+        "ranges": scan[:, :, 1],
+        "angle_min": zero + angles[0],
+        "angle_max": zero + angles[-1],
+        "angle_increment": zero + (angles[-1] - angles[0]) / (len(angles) - 1),
+        "range_max": zero + 30.0,
+    }
+    return [
+        LogTopic("/odom", times_ns, odometry, "nav_msgs/msg/Odometry"),
+        LogTopic("/imu", times_ns, imu, "sensor_msgs/msg/Imu"),
+        LogTopic("/scan", times_ns, ranges, "sensor_msgs/msg/LaserScan"),
+    ]
+
+
 def _parts(
     folder: Path, work: Path, time: str, part_s: float
 ) -> Iterator[tuple[Path, list[pd.DataFrame]]]:
@@ -109,4 +207,9 @@ SETS: Mapping[str, tuple[str, str, Callable[[Path, Path], Iterator[Case]]]] = {
     "arm": ("arm", "arm, motors", arm),
     "kairos": ("kairos", "wheeled", kairos),
     **{name: ("kairos", "wheeled", faulty_kairos(fault)) for name, fault in FAULTS.items()},
+    "jackal_straight": ("jackal", "wheeled", jackal("E2", "N4")),
+    "jackal_cross": ("jackal", "wheeled", jackal("E3", "N5")),
+    "jackal_unsafe": ("jackal", "wheeled", jackal("E3", "N6")),
+    "quadcopter_hover": ("quadcopter", "quadrotor", quadcopter("Hover")),
+    "quadcopter_line": ("quadcopter", "quadrotor", quadcopter("Straight line")),
 }

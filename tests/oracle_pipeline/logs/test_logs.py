@@ -176,6 +176,18 @@ def test_layout_names_topic_type_time_and_units(tmp_path):
     assert messages[1].header.stamp.nanosec == 10_000_000
 
 
+def test_numbered_columns_fill_a_sequence_of_a_ros_type(tmp_path):
+    pd.DataFrame({"t": [0.0, 0.1], "ranges_0": [1.0, 2.0], "ranges_1": [3.0, 4.0]}).to_csv(
+        tmp_path / "scan.csv", index=False
+    )
+    (tmp_path / LAYOUT_FILE).write_text(
+        "topics: [{file: scan.csv, topic: /scan, type: sensor_msgs/msg/LaserScan}]"
+    )
+    with open_run(tmp_path / "scan.csv") as run:
+        scans = [run.bag.deserialize(message) for message in run.bag.messages(["/scan"])]
+    assert [scan.ranges.tolist() for scan in scans] == [[1.0, 3.0], [2.0, 4.0]]
+
+
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
