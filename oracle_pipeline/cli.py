@@ -12,15 +12,17 @@ import shlex
 import sys
 import time
 import traceback
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.bags.terminal import PlainTextGroup, version_option
+from oracle_pipeline.bags.terminal import PlainTextGroup, progress_bar, version_option
 from oracle_pipeline.checks.check_command import check
 from oracle_pipeline.comparison.compare_command import compare
 from oracle_pipeline.live.watch_command import recover, watch
@@ -104,7 +106,8 @@ def _choices(roles: Path | None) -> "RoleChoices | None":
 
 
 @main.command()
-@click.argument("run_or_bag", type=click.Path(path_type=Path))
+@click.argument("recordings", metavar="RUN_OR_BAG...", nargs=-1, required=True,
+                type=click.Path(path_type=Path))  # fmt: skip
 @click.option(
     "--table", type=click.Choice(["run", "window"]), default="run", show_default=True,
     help="One row for the recording, or one for each window of 5 s (every 2.5 s).",
@@ -125,7 +128,7 @@ def _choices(roles: Path | None) -> "RoleChoices | None":
 @plugins_option
 @_strict
 def features(
-    run_or_bag: Path,
+    recordings: tuple[Path, ...],
     table: str,
     file_format: str | None,
     output: Path | None,
@@ -133,14 +136,15 @@ def features(
     plugins: Path | None,
     strict: bool,
 ) -> None:
-    """Compute the features of one recording.
+    """Compute the features of recordings, a row for each.
 
     RUN_OR_BAG is a run directory, the folder of a rosbag2 (SQLite or MCAP, split or compressed), a
     single .mcap or .db3 file, a ROS 1 .bag file, or another log, such as CSV, Parquet or PX4 ULog
     (see `oracle import --help`). No ROS is needed. A feature that cannot be
     computed from this recording is null, and "missing" has the reason. An unfinished recording is
     read as far as possible; "notes" states how far, and which data were not used. Topics are found
-    by message type, not by name. Several robots, each in a namespace, give one row each.
+    by message type, not by name. Several robots, each in a namespace, give one row each. A
+    recording that cannot be read is left out, and the exit code is 2.
 
     \b
     Examples:
@@ -148,33 +152,72 @@ def features(
         oracle features my_robot_bag/ --format text | less
         oracle features my_robot_bag/ | jq '.rows[0]["contextual.total_turning"]'
         oracle features my_robot_bag/ --table window --format parquet --output windows.parquet
+        oracle features bags/* --output features.parquet --format parquet
         oracle features my_robot_bag/ --roles
     """  # noqa: D301 -- click reads the control character
     if file_format == "parquet" and output is None:
         raise click.UsageError("Parquet is a binary format: give a file with --output.")
     if roles == _SHOWN:
-        _print_roles(run_or_bag, strict=strict)
+        for recording in recordings:
+            _print_roles(recording, strict=strict)
         return
-    from oracle_pipeline import features as feature_extraction
     from oracle_pipeline.datasets import write_table
 
-    manager = feature_extraction.build_manager(plugins)
     choices = _choices(Path(roles) if roles else None)
-    tables = feature_extraction.compute(run_or_bag, manager, strict=strict, choices=choices)
+    tables, errors = _computed(recordings, plugins, choices, strict=strict)
     wanted = tables.run if table == "run" else tables.windows
     if output is not None and file_format == "parquet":
         write_table(wanted.frame(), output)
         for note in tables.notes:
             click.echo(note, err=True)
-        return
-    for_reading = file_format == "text" or (
-        file_format is None and output is None and sys.stdout.isatty()
-    )
-    text = _text(wanted, tables) if for_reading else _json(wanted, tables)
-    if output is None:
-        click.echo(text)
     else:
-        output.write_text(text + "\n", encoding="utf-8")
+        for_reading = file_format == "text" or (
+            file_format is None and output is None and sys.stdout.isatty()
+        )
+        text = _text(wanted, tables) if for_reading else _json(wanted, tables)
+        if output is None:
+            click.echo(text)
+        else:
+            output.write_text(text + "\n", encoding="utf-8")
+    if errors:
+        raise _Failure("\n".join(errors))
+
+
+def _computed(
+    recordings: Sequence[Path], plugins: Path | None, choices: "RoleChoices | None", *, strict: bool
+) -> "tuple[RecordingFeatures, list[str]]":
+    """Return the features of recordings, and what is wrong with those that cannot be read.
+
+    Several are read at once, each in a process of its own; their rows have paths as names.
+    """
+    work = partial(_features_of, plugins=plugins, choices=choices, strict=strict)
+    if len(recordings) == 1:
+        return work(recordings[0]), []
+    from oracle_pipeline.features import together
+    from oracle_pipeline.scoring.isolation import in_order, run_isolated
+
+    def computed(path: Path) -> "RecordingFeatures | OracleError | OSError":
+        try:
+            return run_isolated(work, path).named(path)
+        except (OracleError, OSError) as error:
+            return error
+
+    bar = progress_bar(in_order(computed, recordings), unit="recording", total=len(recordings),
+                       desc="features")  # fmt: skip
+    found = list(bar)
+    errors = [str(each) for each in found if isinstance(each, Exception)]
+    measured = [each for each in found if not isinstance(each, Exception)]
+    if not measured:
+        raise OracleError("\n".join(errors))
+    return together(measured), errors
+
+
+def _features_of(
+    path: Path, plugins: Path | None, choices: "RoleChoices | None", *, strict: bool
+) -> "RecordingFeatures":
+    from oracle_pipeline import features
+
+    return features.compute(path, features.build_manager(plugins), strict=strict, choices=choices)
 
 
 def _print_roles(recording: Path, *, strict: bool) -> None:

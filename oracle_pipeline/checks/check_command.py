@@ -1,5 +1,6 @@
 """``oracle check``: faults of recordings that need no reference."""
 
+from functools import partial
 from pathlib import Path
 
 import click
@@ -45,13 +46,18 @@ def check(
     from oracle_pipeline.checks import texts
     from oracle_pipeline.checks.run import check_recording
     from oracle_pipeline.datasets import replacing
+    from oracle_pipeline.scoring.isolation import in_order, run_isolated
 
-    results = []
-    for path in progress_bar(recordings, unit="recording", desc="check"):
+    def checked(path: Path) -> texts.Checked:
         try:
-            results.append(texts.Checked(str(path), check_recording(path, strict=strict)))
+            return texts.Checked(
+                str(path), run_isolated(partial(check_recording, strict=strict), path)
+            )
         except (OracleError, OSError) as error:
-            results.append(texts.Checked(str(path), error=str(error)))
+            return texts.Checked(str(path), error=str(error))
+
+    found = in_order(checked, recordings)
+    results = list(progress_bar(found, unit="recording", total=len(recordings), desc="check"))
     click.echo(texts.as_json(results) if file_format == "json" else texts.as_text(results))
     if junit is not None:
         with replacing(junit) as sink:

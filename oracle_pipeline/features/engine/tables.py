@@ -7,10 +7,12 @@ import math
 from collections import ChainMap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
+from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.datasets import MISSING, Fields
 
 if TYPE_CHECKING:
@@ -70,9 +72,16 @@ class RecordingFeatures(NamedTuple):
         tables.run.attrs["notes"] = list(self.notes)
         return tables
 
+    def named(self, path: Path) -> Self:
+        """Return the tables with names of runs that tell recordings of several folders apart."""
+        for table in (self.run, self.windows):
+            names = table.columns["run_id"]
+            table.columns["run_id"] = [printable(str(path.parent / name)) for name in names]
+        return self._replace(notes=tuple(f"{path}: {note}" for note in self.notes))
+
 
 def together(robots: Sequence[RecordingFeatures]) -> RecordingFeatures:
-    """Join the tables of the robots of one recording: a row for each robot, by ``run_id``."""
+    """Join the tables of robots or recordings: a row for each robot, by ``run_id``."""
     if len(robots) == 1:
         return robots[0]
     notes = dict.fromkeys(note for measured in robots for note in measured.notes)

@@ -170,3 +170,19 @@ def test_a_recording_whose_name_is_no_utf8_has_features(tmp_path):
     done = CliRunner().invoke(main, ["features", str(odd)])
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["rows"][0]["run_id"] == r"night\udcff\x1b"
+
+
+@pytest.mark.slow
+def test_several_recordings_are_rows_and_a_broken_one_is_left_out(tmp_path):
+    for name in ("a", "b"):
+        write_bag(tmp_path / name / "bag", drive())
+    (tmp_path / "broken.mcap").write_bytes(b"no bag")
+    paths = [str(tmp_path / name) for name in ("a/bag", "broken.mcap", "b/bag")]
+    done = CliRunner().invoke(main, ["features", *paths])
+    assert done.exit_code == 2
+    assert "broken.mcap" in done.stderr
+    rows = json.loads(done.stdout)["rows"]
+    assert [row.pop("run_id") for row in rows] == [paths[0], paths[2]]
+    (alone,) = json.loads(CliRunner().invoke(main, ["features", paths[0]]).stdout)["rows"]
+    assert alone.pop("run_id") == "bag"
+    assert rows == [alone, alone]
