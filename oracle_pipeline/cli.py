@@ -196,17 +196,17 @@ def _computed(
     from oracle_pipeline.features import together
     from oracle_pipeline.scoring.isolation import in_order, run_isolated
 
-    def computed(path: Path) -> "RecordingFeatures | OracleError | OSError":
+    def computed(recording: tuple[int, Path]) -> "RecordingFeatures | OracleError | OSError":
+        number, path = recording
         try:
-            return run_isolated(work, path).named(path)
+            return run_isolated(work, path).among_others(path, number)
         except (OracleError, OSError) as error:
             return error
 
-    bar = progress_bar(in_order(computed, recordings), unit="recording", total=len(recordings),
-                       desc="features")  # fmt: skip
-    found = list(bar)
-    errors = [str(each) for each in found if isinstance(each, Exception)]
-    measured = [each for each in found if not isinstance(each, Exception)]
+    each = in_order(computed, list(enumerate(recordings)))
+    found = list(progress_bar(each, unit="recording", total=len(recordings), desc="features"))
+    errors = [str(one) for one in found if isinstance(one, Exception)]
+    measured = [one for one in found if not isinstance(one, Exception)]
     if not measured:
         raise OracleError("\n".join(errors))
     return together(measured), errors

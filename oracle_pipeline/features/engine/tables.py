@@ -72,11 +72,12 @@ class RecordingFeatures(NamedTuple):
         tables.run.attrs["notes"] = list(self.notes)
         return tables
 
-    def named(self, path: Path) -> Self:
-        """Return the tables with names of runs that tell recordings of several folders apart."""
+    def among_others(self, path: Path, number: int) -> Self:
+        """Return the tables of one of several recordings: named by path, and a block of its own."""
         for table in (self.run, self.windows):
-            names = table.columns["run_id"]
-            table.columns["run_id"] = [printable(str(path.parent / name)) for name in names]
+            columns = table.columns
+            columns["run_id"] = [printable(str(path.parent / name)) for name in columns["run_id"]]
+            columns["block"] = [-1 - number if each == -1 else each for each in columns["block"]]
         return self._replace(notes=tuple(f"{path}: {note}" for note in self.notes))
 
 

@@ -185,4 +185,6 @@ def test_several_recordings_are_rows_and_a_broken_one_is_left_out(tmp_path):
     assert [row.pop("run_id") for row in rows] == [paths[0], paths[2]]
     (alone,) = json.loads(CliRunner().invoke(main, ["features", paths[0]]).stdout)["rows"]
     assert alone.pop("run_id") == "bag"
+    assert [row.pop("block") for row in rows] == [-1, -3]  # so a reference counts each by itself
+    assert alone.pop("block") == -1
     assert rows == [alone, alone]
