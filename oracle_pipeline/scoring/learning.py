@@ -149,10 +149,11 @@ def design(runs: MeasuredRuns, features: str = "all") -> Design:
 
 
 def _with_signals(of_features: Design, runs: MeasuredRuns) -> Design:
-    """Return a design with signals, and without features that know only the recorder.
+    """Return a design with signals, and without features that say little beside them.
 
     Features of any bag measure bytes and rates. Signals tell more about a robot that has no other
-    features: they have every number, and the time between messages.
+    features: they have every number, and the time between messages. In a recording of one window,
+    features of motion and of sensors that agree scatter, since the robot hardly moved.
     """
     settings = settings_among(runs.features)
     run_signals = common_signals(runs.features, settings)
@@ -160,6 +161,7 @@ def _with_signals(of_features: Design, runs: MeasuredRuns) -> Design:
         return of_features
     fields = field_metadata(runs.features)
     knows_robot = any(fields[c].get("origin") != "generic" for c in of_features.run_features)
+    has_moved = np.median(runs.counts) > 1
     is_long = common_length(runs.counts) >= LONG
     has_range = len(runs.counts) >= FEWEST_IN_RANGE
     left_out = {*(() if is_long else OF_WINDOWS), *(() if has_range else ("farthest",))}
@@ -170,7 +172,7 @@ def _with_signals(of_features: Design, runs: MeasuredRuns) -> Design:
         floors={**of_features.floors, **effects_of_start(runs)},
         run_signals=run_signals,
         window_signals=window_signals,
-        levels=(*(OF_FEATURES if knows_robot else ()), *of_signals),
+        levels=(*(OF_FEATURES if knows_robot and has_moved else ()), *of_signals),
     )
 
 

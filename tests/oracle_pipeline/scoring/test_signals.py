@@ -1,6 +1,7 @@
 """A robot without features of its own is judged by its signals, few recordings or short ones."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -8,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from oracle_pipeline.cli import main
+from oracle_pipeline.scoring.card import ReferenceCard
 
 NORMALS, TESTED = 10, 4
 MOTORS = 4
@@ -66,3 +68,48 @@ def test_weak_motor_scores_higher_than_normal_flights(judged):
 def test_evidence_names_the_signal(judged):
     named = [each["evidence"][0]["feature"] for each in judged["weak"]]
     assert sum("motor2" in feature for feature in named) >= 0.9 * TESTED
+
+
+@pytest.mark.slow
+def test_features_of_motion_do_not_count_where_the_robot_hardly_moved(tmp_path):
+    def scored(seconds):
+        rng, folder = np.random.default_rng(2), tmp_path / f"{seconds}s"
+        folder.mkdir()
+        for number in range(NORMALS):
+            drive = folder / f"{number}"
+            drive.mkdir()
+            odometry(drive / "odom.csv", rng, seconds)
+        learned = CliRunner().invoke(main, ["learn", str(folder), "--output", f"{folder}.card"])
+        assert learned.exit_code == 0, learned.output
+        return ReferenceCard.load(Path(f"{folder}.card")).scorer
+
+    short, long = scored(2), scored(12)
+    assert len(short.design.run_features) > 20
+    assert not {"run", "windows"} & set(short.levels_)
+    assert {"run", "windows"} < set(long.levels_)
+
+
+def odometry(path, rng, seconds):
+    """Write the odometry of a robot that turns aside."""
+    time_s = np.arange(seconds * 10) * 0.1
+    turning = rng.normal(0.5, 0.05) + 0.05 * rng.normal(size=len(time_s))
+    yaw = np.cumsum(turning) * 0.1
+    forward = 0.8 + 0.02 * rng.normal(size=len(time_s))
+    pd.DataFrame(
+        {
+            "time": time_s,
+            "pose.pose.position.x": np.cumsum(forward * np.cos(yaw)) * 0.1,
+            "pose.pose.position.y": np.cumsum(forward * np.sin(yaw)) * 0.1,
+            "pose.pose.position.z": 0.0,
+            "pose.pose.orientation.x": 0.0,
+            "pose.pose.orientation.y": 0.0,
+            "pose.pose.orientation.z": np.sin(yaw / 2.0),
+            "pose.pose.orientation.w": np.cos(yaw / 2.0),
+            "twist.twist.linear.x": forward,
+            "twist.twist.linear.y": 0.0,
+            "twist.twist.linear.z": 0.0,
+            "twist.twist.angular.x": 0.0,
+            "twist.twist.angular.y": 0.0,
+            "twist.twist.angular.z": turning,
+        }
+    ).to_csv(path, index=False)
