@@ -194,12 +194,12 @@ def _computed(
     if len(recordings) == 1:
         return work(recordings[0]), []
     from oracle_pipeline.features import together
-    from oracle_pipeline.scoring.isolation import in_order, run_isolated
+    from oracle_pipeline.scoring.isolation import WIDE_LIMITS, in_order, run_isolated
 
     def computed(recording: tuple[int, Path]) -> "RecordingFeatures | OracleError | OSError":
         number, path = recording
         try:
-            return run_isolated(work, path).among_others(path, number)
+            return run_isolated(work, path, WIDE_LIMITS).among_others(path, number)
         except (OracleError, OSError) as error:
             return error
 

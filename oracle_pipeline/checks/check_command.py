@@ -46,13 +46,13 @@ def check(
     from oracle_pipeline.checks import texts
     from oracle_pipeline.checks.run import check_recording
     from oracle_pipeline.datasets import replacing
-    from oracle_pipeline.scoring.isolation import in_order, run_isolated
+    from oracle_pipeline.scoring.isolation import WIDE_LIMITS, in_order, run_isolated
+
+    work = partial(check_recording, strict=strict)
 
     def checked(path: Path) -> texts.Checked:
         try:
-            return texts.Checked(
-                str(path), run_isolated(partial(check_recording, strict=strict), path)
-            )
+            return texts.Checked(str(path), run_isolated(work, path, WIDE_LIMITS))
         except (OracleError, OSError) as error:
             return texts.Checked(str(path), error=str(error))
 

@@ -62,6 +62,8 @@ class Limits:
 
 
 DEFAULT_LIMITS = Limits()
+#: For commands that have no options for limits.
+WIDE_LIMITS = Limits(3600.0, 16.0, "split the recording")
 
 
 class Extracted(NamedTuple):

@@ -28,7 +28,7 @@ from rosbags.typesys.store import Typestore
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.mcap import MAGIC
 from oracle_pipeline.bags.types import definition, message_class, serialize
-from oracle_pipeline.scoring.isolation import Limits, extracted, run_isolated
+from oracle_pipeline.scoring.isolation import WIDE_LIMITS, extracted, run_isolated
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -83,7 +83,7 @@ def measured(path: Path) -> tuple[float, int]:
 def scored(path: Path) -> tuple[float, str]:
     """Return the peak memory of the process that reads a recording for a score [MiB]."""
     try:
-        return run_isolated(_peak_mib, path, Limits(seconds=3600.0, gibibytes=16.0)), "read"
+        return run_isolated(_peak_mib, path, WIDE_LIMITS), "read"
     except OracleError as error:
         return 0.0, str(error)
 
