@@ -19,6 +19,7 @@ from oracle_pipeline.bags.errors import OracleError
 R = TypeVar("R")
 
 PATIENCE_S = 60  # timeout for the scheduler, and for the first worker
+LOST_S = 600  # the same, once they were there: until somebody has started them again
 
 
 class ClusterError(OracleError):
@@ -35,22 +36,28 @@ class DaskExecutor(Executor):
     The executor of `distributed` itself waits indefinitely for a result whose worker or scheduler
     disappeared at the wrong moment. Here, each loss of a result ends its future with an error.
 
+    Parameters
+    ----------
+    address : str
+    patience_s : float
+        Timeout for the scheduler, and for its first worker.
+
     Raises
     ------
     ClusterError
         No scheduler answers there, or it has no worker.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, patience_s: float) -> None:
         try:
-            self._client = distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)
+            self._client = distributed.Client(address, timeout=patience_s, set_as_default=False)
         except (OSError, ValueError) as error:
             raise ClusterError(
                 f"No Dask scheduler answers at {address!r}: {error}. Start one, correct "
                 "ORACLE_DASK, or unset it to work on this machine."
             ) from error
         try:
-            self._client.wait_for_workers(1, timeout=PATIENCE_S)
+            self._client.wait_for_workers(1, timeout=patience_s)
         except TimeoutError as error:
             self._client.close()
             raise ClusterError(

@@ -1,5 +1,6 @@
 """The workers for many runs: processes of this machine, or a Dask cluster."""
 
+import itertools
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -86,9 +87,10 @@ class Fleet(dg.ConfigurableResource[None]):
     def _fan_out(self, function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[JobOutcome[J, R]]:
         if not self.address:
             return fan_out(function, jobs, self._workers)
-        from resources.cluster import DaskExecutor
+        from resources import cluster
 
-        return fan_out(function, jobs, lambda: DaskExecutor(self.address))
+        patience = itertools.chain([cluster.PATIENCE_S], itertools.repeat(cluster.LOST_S))
+        return fan_out(function, jobs, lambda: cluster.DaskExecutor(self.address, next(patience)))
 
     def _workers(self) -> Executor:
         """Return the local worker processes."""

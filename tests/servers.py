@@ -70,14 +70,14 @@ def wait_until(condition: Callable[[], object], log: Path, seconds: float = PATI
 
 @contextmanager
 def dask_cluster(
-    folder: Path, workers: int, variables: Mapping[str, str] | None = None
+    folder: Path, workers: int, variables: Mapping[str, str] | None = None, port: str = "0"
 ) -> Iterator[str]:
     """Start a scheduler and workers as deploy/ does; yield the scheduler's address."""
     folder.mkdir(parents=True, exist_ok=True)
     file, log = folder / "scheduler.json", folder / "scheduler.log"
     # A worker's death is reported at once: retries are decided here, not by the scheduler.
     settings = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
-    scheduler = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--no-show"]
+    scheduler = ["--host", "127.0.0.1", "--port", port, "--no-dashboard", "--no-show"]
     worker = ["--host", "127.0.0.1", "--nworkers", str(workers), "--nthreads", "1",
               "--no-dashboard", "--memory-limit", "0",
               "--local-directory", str(folder)]  # fmt: skip

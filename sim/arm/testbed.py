@@ -1,6 +1,5 @@
 """The fourth testbed: an arm that picks an object and puts it down elsewhere."""
 
-from sim.arm.drawing import draw
 from sim.arm.recipes import ArmRecipe
 from sim.testbed import Testbed, later
 
@@ -13,7 +12,7 @@ ARM = Testbed(
     hard_negatives={"arm_benign_heavy": {}, "arm_benign_gains": {}},
     messages=frozenset({"control_msgs", "moveit_msgs"}),
     recipe=ArmRecipe,
-    draw=draw,
+    draw=later("sim.arm.drawing:draw"),
     bring_up=later("sim.arm.run:ArmRun"),
     made_by="sim.arm.run",
 )

@@ -1,6 +1,5 @@
 """The third testbed: a Crazyflie that hovers, flies to points, and flies a figure of eight."""
 
-from sim.crazyflie.drawing import draw
 from sim.crazyflie.recipes import CrazyflieRecipe
 from sim.testbed import Testbed, later
 
@@ -14,7 +13,7 @@ CRAZYFLIE = Testbed(
     hard_negatives={"cf_benign_wind": {}, "cf_benign_battery": {}},
     messages=frozenset({"crazyflie_interfaces", "motion_capture_tracking_interfaces"}),
     recipe=CrazyflieRecipe,
-    draw=draw,
+    draw=later("sim.crazyflie.drawing:draw"),
     bring_up=later("sim.crazyflie.run:CrazyflieRun"),
     made_by="sim.crazyflie.run",
 )

@@ -3,6 +3,7 @@
 import math
 import os
 import signal
+import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -29,6 +30,11 @@ def die_once(folder: Path, x: int) -> int:
 def die(x: int) -> int:
     if x == 1:
         os.kill(os.getpid(), signal.SIGKILL)
+    return x
+
+
+def rest(x: int) -> int:
+    time.sleep(1.0)
     return x
 
 
@@ -65,6 +71,15 @@ def test_a_job_that_kills_workers_is_abandoned_with_an_error(fleet: Fleet) -> No
     outcomes = {o.job: o for o in fleet.outcomes(die, range(3))}
     assert {job: o.result for job, o in outcomes.items()} == {0: 0, 1: None, 2: 2}
     assert "worker process died" in str(outcomes[1].error)
+
+
+def test_jobs_of_a_lost_scheduler_are_done_once_it_is_started_again(tmp_path: Path) -> None:
+    with dask_cluster(tmp_path / "first", workers=1) as address:
+        outcomes = Fleet(address=address).outcomes(rest, range(4))
+        done = [next(outcomes)]
+    with dask_cluster(tmp_path / "second", workers=1, port=address.rpartition(":")[2]):
+        done += outcomes
+    assert sorted(o.result or 0 for o in done) == list(range(4)), done
 
 
 def test_the_error_for_an_unreachable_cluster_states_a_remedy(
