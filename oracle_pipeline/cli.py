@@ -33,6 +33,7 @@ from oracle_pipeline.options import (
     output_option,
     plugins_option,
     rate_option,
+    recordings_argument,
 )
 from oracle_pipeline.replay.replay_command import replay
 from oracle_pipeline.reporting.kinds_command import invariants, kinds, review
@@ -106,8 +107,7 @@ def _choices(roles: Path | None) -> "RoleChoices | None":
 
 
 @main.command()
-@click.argument("recordings", metavar="RUN_OR_BAG...", nargs=-1, required=True,
-                type=click.Path(path_type=Path))  # fmt: skip
+@recordings_argument
 @click.option(
     "--table", type=click.Choice(["run", "window"]), default="run", show_default=True,
     help="One row for the recording, or one for each window of 5 s (every 2.5 s).",
@@ -255,8 +255,7 @@ def _json(table: "Table", tables: "RecordingFeatures") -> str:
 
 
 @main.command()
-@click.argument("recordings", metavar="RUN_OR_BAG...", nargs=-1, required=True,
-                type=click.Path(path_type=Path))  # fmt: skip
+@recordings_argument
 @click.option(
     "--reference", required=True, type=click.Path(path_type=Path),
     help="Normal runs to compare with: a table of run features, a root with features/ or runs/, "

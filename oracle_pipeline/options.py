@@ -6,7 +6,34 @@ from typing import Any, TypeVar
 
 import click
 
+from oracle_pipeline.bags.remote import fetched, place_at
+
 Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class _Recording(click.Path):
+    """A path; what is in an object store is copied to this machine until the command ends."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path on this machine."""
+        if ctx is None or "://" not in str(value):
+            return super().convert(value, param, ctx)
+        try:
+            place = place_at(value)
+            if place.exists():
+                return ctx.with_resource(fetched(place))
+            reason = "does not exist"
+        except ImportError as error:
+            reason = f"needs pip install 'ros2-behaviour-oracle[s3]': {error}"
+        except Exception as error:  # clients of object stores raise various exceptions
+            reason = f"cannot be read: {error}"
+        raise click.BadParameter(f"{value} {reason}", ctx, param)
+
+
+recordings_argument = click.argument(
+    "recordings", metavar="RUN_OR_BAG...", nargs=-1, required=True,
+    type=_Recording(path_type=Path),
+)  # fmt: skip
 
 plugins_option = click.option(
     "--plugins", type=click.Path(path_type=Path), envvar="ORACLE_PLUGINS",

@@ -2,13 +2,13 @@
 
 import secrets
 from pathlib import Path
-from typing import cast
 
 import dagster as dg
 from pydantic import Field
 
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.protocol import runs_named
+from oracle_pipeline.bags.remote import place_at
 from oracle_pipeline.bags.run_directory import RunDirectory
 
 
@@ -30,12 +30,7 @@ class RunStore(dg.ConfigurableResource[None]):
     @property
     def path(self) -> Path:
         """The absolute root; for an object store a ``UPath``, which acts like a ``Path``."""
-        if self.is_local:
-            return Path(self.root).expanduser().resolve()
-        from upath import UPath
-
-        # Other processes write to the store, so listings must not be cached.
-        return cast(Path, UPath(self.root, use_listings_cache=False))
+        return place_at(self.root)
 
     def require_writable(self) -> None:
         """Create the root, and raise an error with advice if it is not writable."""

@@ -10,7 +10,23 @@ import contextlib
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
+
+
+def place_at(text: str) -> Path:
+    """Return the absolute path of a folder or file, or a ``UPath``, which acts like one, of a URL.
+
+    Raises
+    ------
+    ImportError
+        The library for this kind of object store is not installed.
+    """
+    if "://" not in text:
+        return Path(text).expanduser().resolve()
+    from upath import UPath
+
+    # Other processes write to the store, so listings must not be cached.
+    return cast(Path, UPath(text, use_listings_cache=False))
 
 
 def is_local(place: Path) -> bool:
@@ -20,14 +36,13 @@ def is_local(place: Path) -> bool:
 
 @contextlib.contextmanager
 def fetched(folder: Path) -> Iterator[Path]:
-    """Give a folder to read on this machine: itself, or a copy for the time of the block."""
+    """Give a folder or file to read on this machine: itself, or a copy until the block ends."""
     if is_local(folder):
         yield folder
         return
     with tempfile.TemporaryDirectory(prefix="oracle-") as scratch:
-        local = Path(scratch, folder.name)
-        local.mkdir()
         store, prefix = _objects_of(folder)
+        local = Path(scratch, prefix)  # so that messages name the place
         objects = store.find(prefix)
         store.get(objects, [str(local / object_[len(prefix) + 1 :]) for object_ in objects])
         yield local

@@ -6,12 +6,11 @@ from pathlib import Path
 import click
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.options import format_option, output_option
+from oracle_pipeline.options import format_option, output_option, recordings_argument
 
 
 @click.command()
-@click.argument("recordings", metavar="RUN_OR_BAG...", nargs=-1, required=True,
-                type=click.Path(path_type=Path))  # fmt: skip
+@recordings_argument
 @format_option("text", "json", text="Text for reading; one JSON object for programs.")
 @output_option("--junit", "File for the faults as JUnit XML, with a test case for each recording.")
 @output_option("--page", "File for a page (HTML) with the faults.")
