@@ -75,7 +75,9 @@ class Rosbag1Part:
         while at < self._end:
             record = self._record(at)
             if record is None:
-                self._stop(at, f"the record at byte {at} is incomplete")
+                padding = self._read(at, min(self._end - at, _LARGEST_HEADER))
+                if self._is_cut or padding.strip(b"\0"):
+                    self._stop(at, f"the record at byte {at} is incomplete")
                 return
             header, begin, size = record
             is_whole = begin + size <= self._end

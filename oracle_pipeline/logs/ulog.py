@@ -29,7 +29,9 @@ def read_ulog(path: Path) -> Log:
             found.notes.append(f"{data.name} has no numbers or no time and is not used.")
             continue
         name = f"/{data.name}" + (f"_{data.multi_id}" if data.multi_id else "")
-        found.topics.append(LogTopic(name, stamps.astype(np.int64) * 1000, grouped(columns)))
+        # What was published before the log began is logged as it was at its beginning.
+        times_ns = np.maximum(stamps.astype(np.int64), log.start_timestamp) * 1000
+        found.topics.append(LogTopic(name, times_ns, grouped(columns)))
     if log.file_corruption:
         found.notes.append("The file is damaged; parts of it could not be read.")
     if log.dropouts:

@@ -40,6 +40,7 @@ RARE = 0.01  # share of copies up to which all messages of a relay count as filt
 _NUMBER = re.compile(r"(?<![\w'])-?\d+(?:\.\d*)?(?:e[+-]?\d+)?(?![\w'])")
 _ROUNDED = "the numbers differ by rounding"
 _FILTERED = "all messages are altered, as a filter does, and the features say how much"
+_UNSTEADY = "normal recordings differ in such terms, too"
 _OTHER_MACHINE = "another machine or a full queue changes a rate as much"
 
 # ROS 2 tools append a suffix to some node names that differs between processes.
@@ -72,11 +73,13 @@ class TopicTerms:
 class Breach(NamedTuple):
     """One way in which a recording departs from the contract.
 
-    A note is what an honest filter or another machine does as well: it does not count as a breach.
+    A note is what an honest filter, another machine or a normal recording does as well: it does not
+    count as a breach.
     """
 
     name: str  # of a topic, a node or an edge; or "clock"
     text: str  # a sentence; that of a note has the reason
+    term: Literal["topic", "type", "qos", "rate", "constant", "copies", "clock", "graph"] = "topic"
     severity: Literal["breach", "note"] = "breach"
 
 
@@ -205,6 +208,8 @@ class Contract:
         Role -> topics that play it in any recording.
     steady_clock : bool
         Whether the recorder's clock was set back in no recording.
+    unsteady : frozenset of str
+        Kinds of terms that normal recordings break among themselves, so a breach of one is a note.
     """
 
     topics: Mapping[str, TopicTerms]
@@ -215,6 +220,7 @@ class Contract:
     relays: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     roles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     steady_clock: bool = False
+    unsteady: frozenset[str] = frozenset()
 
     @property
     def known(self) -> Known:
@@ -273,14 +279,16 @@ class Contract:
                     "clock",
                     f"The recorder's clock was set back by {back_s:.3g} s at {at_s:.2f} s; in no "
                     "normal recording it was.",
+                    "clock",
                 )
                 for at_s, back_s in seen.set_back
             ]
-        return found + self._of_graph(seen.graph)
+        found += self._of_graph(seen.graph)
+        return [_noted(each, _UNSTEADY) if each.term in self.unsteady else each for each in found]
 
-    def is_broken(self, seen: Observation) -> bool:
-        """Return whether a recording departs from the contract by more than notes."""
-        return any(each.severity == "breach" for each in self.breaches(seen))
+    def broken_terms(self, seen: Observation) -> set[str]:
+        """Return the kinds of terms in which a recording departs by more than notes."""
+        return {each.term for each in self.breaches(seen) if each.severity == "breach"}
 
     def breach_of_silence(self, name: str, silent_s: float) -> Breach | None:
         """Return a breach if a topic of a running robot has been silent for too long [s]."""
@@ -315,15 +323,14 @@ class Contract:
                     name,
                     f"Field {path} of topic {name} changes or is missing; in normal recordings it "
                     "is constant.",
+                    "constant",
                 )
             elif usual is not None and seen[path] != usual:
                 is_rounded = _is_close(seen[path], usual)
                 now, usual = (textwrap.shorten(text, 40) for text in (seen[path], usual))
                 instead = f"is {now} instead of {usual}" if now != usual else "has another value"
-                if is_rounded:
-                    yield _note(name, f"Field {path} of topic {name} {instead}", _ROUNDED)
-                else:
-                    yield Breach(name, f"Field {path} of topic {name} {instead}.")
+                breach = Breach(name, f"Field {path} of topic {name} {instead}.", "constant")
+                yield _noted(breach, _ROUNDED) if is_rounded else breach
 
     def _of_relay(self, name: str, seen: Observation) -> Iterable[Breach]:
         for source, usual in self.relays.get(name, {}).items():
@@ -333,9 +340,10 @@ class Contract:
                 usually = "all" if usual == 1.0 else f"at least {usual:.1%}"
                 told = (
                     f"Of the messages on topic {name}, {share:.1%} are copies of messages on "
-                    f"{source}; in normal recordings {usually} are"
+                    f"{source}; in normal recordings {usually} are."
                 )
-                yield _note(name, told, _FILTERED) if share <= RARE else Breach(name, f"{told}.")
+                breach = Breach(name, told, "copies")
+                yield _noted(breach, _FILTERED) if share <= RARE else breach
 
     def _is_altered(self, name: str, source: str, seen: Observation) -> bool:
         """Return whether too few messages of a relay are copies of those of its source."""
@@ -362,8 +370,8 @@ class Contract:
         missing = sorted(self.always - graph)
         new = sorted(graph - self.ever)
         return [
-            *(Breach(each, f"{_as_text(each)} is gone.") for each in missing),
-            *(Breach(each, f"{_as_text(each)} is new.") for each in new),
+            *(Breach(each, f"{_as_text(each)} is gone.", "graph") for each in missing),
+            *(Breach(each, f"{_as_text(each)} is new.", "graph") for each in new),
         ]
 
     def to_dict(self) -> dict[str, Any]:
@@ -377,6 +385,7 @@ class Contract:
             "relays": self.relays,
             "roles": self.roles,
             "steady_clock": self.steady_clock,
+            "unsteady": sorted(self.unsteady),
         }
 
     @classmethod
@@ -398,6 +407,7 @@ class Contract:
             document["relays"],
             {role: tuple(topics) for role, topics in document["roles"].items()},
             document["steady_clock"],
+            frozenset(document.get("unsteady", ())),  # cards of 0.3.0 have none
         )
 
 
@@ -454,16 +464,11 @@ def _roles(observations: Iterable[Observation]) -> dict[str, tuple[str, ...]]:
 def _of_topic(name: str, terms: TopicTerms, kind: str, qos: Sequence[str]) -> list[Breach]:
     found = []
     if kind not in terms.types:
-        found.append(
-            Breach(name, f"Topic {name} has type {kind} instead of {' or '.join(terms.types)}.")
-        )
+        text = f"Topic {name} has type {kind} instead of {' or '.join(terms.types)}."
+        found.append(Breach(name, text, "type"))
     if terms.qos and (other := [words for words in qos if words not in terms.qos]):
-        found.append(
-            Breach(
-                name,
-                f"Topic {name} is offered with QoS {other[0]} instead of {' or '.join(terms.qos)}.",
-            )
-        )
+        text = f"Topic {name} is offered with QoS {other[0]} instead of {' or '.join(terms.qos)}."
+        found.append(Breach(name, text, "qos"))
     return found
 
 
@@ -479,14 +484,19 @@ def _of_rate(
     if too_few or lowest_hz <= (rate_hz or 0.0) <= highest_hz:
         return []
     usual = _range(terms.lowest_hz, terms.highest_hz)
-    told = f"Topic {name} has {rate_hz or 0.0:.3g} Hz instead of {usual} Hz"
+    text = f"Topic {name} has {rate_hz or 0.0:.3g} Hz instead of {usual} Hz."
+    breach = Breach(name, text, "rate")
     if rate_hz and terms.lowest_hz / STEADY <= rate_hz <= terms.highest_hz * STEADY:
-        return [_note(name, told, _OTHER_MACHINE)]
-    return [Breach(name, f"{told}.")]
+        return [_noted(breach, _OTHER_MACHINE)]
+    return [breach]
 
 
-def _note(name: str, told: str, reason: str) -> Breach:
-    return Breach(name, f"{told}. This is a note, no breach: {reason}.", "note")
+def _noted(breach: Breach, reason: str) -> Breach:
+    """Return a breach as a note, unless it is one already."""
+    if breach.severity == "note":
+        return breach
+    text = f"{breach.text} This is a note, no breach: {reason}."
+    return breach._replace(text=text, severity="note")
 
 
 def _is_close(text: str, usual: str) -> bool:

@@ -252,22 +252,26 @@ def _scored(
     if verdict.outcome == "another system":
         return verdict
     design = card.scorer.design
-    columns, notes = shared_features(tables.run, card.runs, design.run_features)
+    columns: list[str] = []
+    signals = [column for column in design.run_signals if column in tables.run.columns]
+    if design.uses_features:
+        columns, notes = shared_features(tables.run, card.runs, design.run_features)
+        if is_outside(len(tables.windows), card.scorer.lengths):
+            signals = []  # they do not count for a recording of another length
+    else:
+        _, notes = shared_features(tables.run, card.runs, design.run_signals)
     block = _known_block(tables.run, card)
     if block != NO_BLOCK:
         notes.append("Its block is part of the reference: all runs of that block are left out.")
     others = card.runs[card.runs["block"] != block]
-    deviations = explain(others, tables.run, columns) if design.uses_features else []
-    signals = [column for column in design.run_signals if column in tables.run.columns]
-    if design.uses_features and is_outside(len(tables.windows), card.scorer.lengths):
-        signals = []  # they do not count for a recording of another length
+    deviations = explain(others, tables.run, columns) if columns else []
     if signals:
         deviations += explain(others, tables.run, signals, SignalScaler(design.floors))
     normal = card.scorer.scorers_[0].normal_in_windows
     evidence = farthest_features(deviations, tables, normal)
     return replace(
         verdict,
-        features=len(columns),
+        features=len(columns) + len(signals),
         evidence=evidence,
         series=window_series(evidence, tables.windows, normal),
         families=tuple(by_family(deviations, [*columns, *signals])),

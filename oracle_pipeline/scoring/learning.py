@@ -1,6 +1,7 @@
 """Learns reference cards from normal runs, one for each kind of system in a reference."""
 
 import itertools
+from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -46,6 +47,7 @@ LONG = 20  # windows of a recording; in a shorter one, signals of the whole show
 FEWEST_IN_RANGE = 10  # recordings; the range of fewer says little of one signal alone
 COMMON_SIGNAL = 0.8  # least share of the rows in which a signal is, to be compared
 OF_SETTING = 0.2  # a signal that changes less in a recording than this, of what these differ by
+FEWEST_BROKEN, COMMONLY_BROKEN = 2, 0.1  # recordings, and their share, with a term that is unsteady
 WINDOWS_UNKNOWN = (
     "The reference has no features of windows, so only whole recordings are compared: a short "
     "attack in a long recording may be missed. Use a table with windows.parquet beside it."
@@ -91,21 +93,30 @@ def _learned(reference: Reference, detector: str) -> ReferenceCard:
     if reference.observations:
         observations = reference.observations
         fold_of = dict(zip(runs.features["run_id"], scorer.fold_.tolist(), strict=True))
-        contract = Contract.learned(observations)
-        breaching = _breaching(observations, [fold_of[run_id] for run_id in table["run_id"]])
+        broken = _broken_terms(observations, [fold_of[run_id] for run_id in table["run_id"]])
+        unsteady = _unsteady(broken)
+        contract = replace(Contract.learned(observations), unsteady=unsteady)
+        breaching = sum(bool(terms - unsteady) for terms in broken)
     return ReferenceCard(
         scorer, runs.features, contract, (*notes, *reference.notes), aspects, reference.roles,
         breaching, CardOrigin("", version(DISTRIBUTION), datetime.now(UTC).date().isoformat()),
     )  # fmt: skip
 
 
-def _breaching(observations: Sequence[Observation], folds: Sequence[int]) -> int:
-    """Return how many recordings break the contract that the other folds teach."""
-    count, of_all = 0, list(zip(observations, folds, strict=True))
-    for fold in set(folds):
-        contract = Contract.learned([seen for seen, own in of_all if own != fold])
-        count += sum(contract.is_broken(seen) for seen, own in of_all if own == fold)
-    return count
+def _broken_terms(observations: Sequence[Observation], folds: Sequence[int]) -> list[set[str]]:
+    """Return the terms that each recording breaks of the contract that the other folds teach."""
+    of_all = list(zip(observations, folds, strict=True))
+    contracts = {
+        fold: Contract.learned([seen for seen, own in of_all if own != fold]) for fold in set(folds)
+    }
+    return [contracts[own].broken_terms(seen) for seen, own in of_all]
+
+
+def _unsteady(broken: Sequence[set[str]]) -> frozenset[str]:
+    """Return the terms that several recordings break: they say little of this kind of system."""
+    counts = Counter(term for terms in broken for term in terms)
+    least = max(FEWEST_BROKEN, COMMONLY_BROKEN * len(broken))
+    return frozenset(term for term, count in counts.items() if count >= least)
 
 
 def learned_scorer(

@@ -151,15 +151,14 @@ def _rule(judged: int, far: float, *, together: bool) -> str:
 
 def card_as_text(card: ReferenceCard) -> str:
     """Describe the content of a card and the false positive rates that it supports."""
-    runs, scorer = card.runs, card.scorer
+    runs, design = card.runs, card.scorer.design
     blocks, sessions = runs["block"].nunique(), runs["session"].nunique()
-    named = scorer.design.named
     lines = [
         f"Learned from {_count(len(runs), 'normal recording')}: {_count(blocks, 'block')}, "
         f"{_count(sessions, 'session')}.",
-        *([f"Detector: {named}, on plain statistics of signals."] if named else []),
-        f"Features: {len(scorer.design.run_features)} of whole recordings, "
-        f"{len(scorer.design.window_features)} of windows.",
+        *([f"Detector: {design.named}, on plain statistics of signals."] if design.named else []),
+        f"Features: {len(design.run_features) if design.uses_features else 0} of whole recordings, "
+        f"{len(design.window_features)} of windows, {len(design.run_signals)} of signals.",
         f"Scores beside the verdict: {', '.join(card.aspects) or 'none'}.",
         _support(blocks),
         _survives(),
@@ -254,7 +253,11 @@ def _contract_as_text(card: ReferenceCard) -> str:
     if card.breaching is None:
         return told
     recordings = _count(len(card.runs), "recording")
-    return f"{told} {card.breaching} of {recordings} break the contract of the others."
+    told = f"{told} {card.breaching} of {recordings} break the contract of the others."
+    if not card.contract.unsteady:
+        return told
+    unsteady = ", ".join(sorted(card.contract.unsteady))
+    return f"{told} Only noted, as normal recordings differ in it: {unsteady}."
 
 
 def _outliers_as_text(card: ReferenceCard) -> list[str]:

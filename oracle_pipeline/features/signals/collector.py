@@ -22,6 +22,7 @@ MOST_BYTES = 32 * 2**20  # of the messages of a topic that are decoded; the othe
 MOST_MESSAGES = 20_000  # of a topic that are decoded
 _MOST_WAITING = 4 * 2**20  # bytes of a topic's messages that wait to be decoded together
 _OF_THE_MIDDLEWARE = "rcl_interfaces/"  # types of logs and of parameters
+_NAMED = 5  # of the topics that are left out
 _WHOLE_SHARE = 0.9  # of the messages of a topic; if fewer are whole, its type is wrong
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -160,7 +161,7 @@ class SignalCollector:
         found: list[Signals] = []
         left = MOST_SIGNALS
         cut: list[str] = []
-        for number in sorted(self._numbers, key=self._names.__getitem__):
+        for number in sorted(self._numbers, key=self._order):
             for numbers in self._decoded(number):
                 if len(numbers.names) > left:
                     cut.append(self._names[number])
@@ -170,11 +171,16 @@ class SignalCollector:
             if of_topic := self._numbers.get(number):
                 found.append(_periods(self._names[number], times_ns[np.concatenate(of_topic)]))
         if cut:
+            topics = list(dict.fromkeys(cut))
             self.notes.append(
-                f"The recording has more than {MOST_SIGNALS} signals; those of "
-                f"{', '.join(dict.fromkeys(cut))} are left out."
+                f"The recording has more than {MOST_SIGNALS} signals; those of {len(topics)} "
+                f"topics, such as {', '.join(topics[:_NAMED])}, are left out."
             )
-        return found
+        return sorted(found, key=lambda signals: signals.topic)
+
+    def _order(self, number: int) -> tuple[int, str]:
+        """Return the place of a topic: those with many messages first, in steps of two."""
+        return -sum(map(len, self._numbers[number])).bit_length(), self._names[number]
 
     def _decoded(self, number: int) -> Iterator[Numbers]:
         """Yield the numbers in the messages of a topic; none if its type is unknown or wrong."""

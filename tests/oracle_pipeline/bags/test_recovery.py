@@ -60,7 +60,7 @@ def test_a_ros1_bag_that_is_cut_anywhere(compression, share, zeros, place):
     path.unlink(missing_ok=True)
     write_ros1(path, MESSAGES, compression)
     data = path.read_bytes()
-    index = struct.unpack_from("<Q", data, data.index(b"index_pos=") + len("index_pos="))[0]
+    _, index = index_of(data)
     cut = int(share * len(data))
     path.write_bytes(data[:cut] + bytes(1000 if zeros else 0))
     try:
@@ -71,6 +71,27 @@ def test_a_ros1_bag_that_is_cut_anywhere(compression, share, zeros, place):
     assert [m[:2] for m in messages] == [m[:2] for m in MESSAGES[: len(messages)]]
     assert len(messages) == 60 or cut <= index
     assert f"{len(messages)} messages were read" in loss
+
+
+@given(zeros=st.integers(1, 5_000))
+def test_a_ros1_bag_with_zeros_before_its_index(zeros, place):
+    """As where a tool gave a topic a shorter name."""
+    path = place / "padded.bag"
+    path.unlink(missing_ok=True)
+    write_ros1(path, MESSAGES)
+    data = bytearray(path.read_bytes())
+    at, index = index_of(data)
+    struct.pack_into("<Q", data, at, index + zeros)
+    path.write_bytes(data[:index] + bytes(zeros) + data[index:])
+    messages, losses = read(path)
+    assert [m[:2] for m in messages] == [m[:2] for m in MESSAGES]
+    assert losses == []
+
+
+def index_of(ros1):
+    """Return where a ROS 1 bag states the place of its index, and that place."""
+    at = ros1.index(b"index_pos=") + len("index_pos=")
+    return at, struct.unpack_from("<Q", ros1, at)[0]
 
 
 @settings(max_examples=60, deadline=None)

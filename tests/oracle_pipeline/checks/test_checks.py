@@ -132,6 +132,15 @@ def test_robot_that_stands_still_is_not_stuck(tmp_path):
     assert "stuck" not in {fault.check for fault in check_recording(drive(tmp_path, stop))}
 
 
+@pytest.mark.parametrize("name", ["cmd_vel", "position_setpoint"])
+def test_silence_between_commands_is_no_gap(name, tmp_path):
+    def pause(tables: Tables) -> None:
+        silent_scanner(tables)
+        tables[name] = tables.pop("imu")
+
+    assert "gap" not in {fault.check for fault in check_recording(drive(tmp_path, pause))}
+
+
 def test_gap_in_all_topics_is_one_fault_of_the_recording(tmp_path):
     def stop_recorder(tables: Tables) -> None:
         for name, table in tables.items():

@@ -11,6 +11,7 @@ from oracle_pipeline import features
 from oracle_pipeline.bags.types import message_class
 from oracle_pipeline.datasets import signal_columns
 from oracle_pipeline.features import build_manager
+from oracle_pipeline.features.signals.collector import MOST_OF_TOPIC, MOST_SIGNALS
 from oracle_pipeline.features.signals.statistics import OF_RUN
 from oracle_pipeline.opened_run import open_run
 from tests.oracle_pipeline.features.test_transforms import transform
@@ -116,3 +117,16 @@ def test_robot_without_features_of_its_own_has_hundreds_of_signals(tmp_path):
         f"motor.{n}.{of}": rng.normal(size=COUNT) for n in range(6) for of in ("i", "u", "t")
     }
     assert len(signals_of(logged(tmp_path, **columns))) >= 120
+
+
+def test_of_too_many_signals_those_of_topics_with_many_messages_count(tmp_path):
+    fields = {f"f{n}": np.arange(60.0) for n in range(MOST_OF_TOPIC)}
+    for n in range(MOST_SIGNALS // MOST_OF_TOPIC + 2):
+        pd.DataFrame({"time": np.arange(60.0), **fields}).to_csv(tmp_path / f"a{n}.csv")
+    fast = {"time": np.arange(600) * 0.1, "rate": np.zeros(600)}
+    pd.DataFrame(fast).to_csv(tmp_path / "z.csv")
+    with open_run(tmp_path) as run:
+        found = features.extract(run, MANAGER)
+    assert "signals./z/rate.mean" in found.run
+    (note,) = [note for note in found.notes if "signals" in note]
+    assert note.endswith("are left out.")

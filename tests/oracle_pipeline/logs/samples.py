@@ -58,13 +58,13 @@ def lerobot(folder: Path, version: int = 2) -> Path:
     return dataset / "episode_000001"
 
 
-def ulog(folder: Path) -> Path:
+def ulog(folder: Path, begin_us: int = 0) -> Path:
     def record(kind: bytes, payload: bytes) -> bytes:
         return struct.pack("<Hc", len(payload), kind) + payload
 
     path = folder / "flight.ulg"
     form = b"vehicle_attitude:uint64_t timestamp;float[2] q;"
-    content = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
+    content = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", begin_us)
     content += record(b"B", bytes(40)) + record(b"F", form)
     content += record(b"A", struct.pack("<BH", 0, 0) + b"vehicle_attitude")
     for time_s, value in zip(TIMES_S, SIGNAL, strict=True):

@@ -42,6 +42,14 @@ def test_log_is_read_as_a_bag_with_the_same_times_and_numbers(kind, tmp_path):
     assert found == pytest.approx(samples.SIGNAL + offset, abs=1e-6)
 
 
+def test_what_px4_published_before_the_log_began_is_at_its_beginning(tmp_path):
+    before = int((samples.TIMES_S < 1.0).sum())
+    with open_run(samples.ulog(tmp_path, begin_us=1_000_000)) as run:
+        stamps = [message.stamp_ns for message in run.bag.messages(["/vehicle_attitude"])]
+    assert stamps[: before + 1] == [10**9] * (before + 1)
+    assert len(stamps) == samples.COUNT
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_damaged_log_is_refused_in_one_line_or_read_in_part(kind, tmp_path):
     write, topic, _ = samples.SAMPLES[kind]

@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -181,7 +182,8 @@ def test_what_an_honest_filter_or_another_machine_does_is_a_note_with_its_reason
     found = contract.breaches(seen(rate_hz, range_m, copies))
     assert [each.severity for each in found] == severities
     assert all(("This is a note" in each.text) == (each.severity == "note") for each in found)
-    assert contract.is_broken(seen(rate_hz, range_m, copies)) == ("breach" in severities)
+    broken = contract.broken_terms(seen(rate_hz, range_m, copies))
+    assert bool(broken) == ("breach" in severities)
 
 
 def test_a_topic_without_a_steady_rate_may_have_any():
@@ -252,3 +254,12 @@ def test_a_recording_shows_the_pace_of_its_topics(recorded_run):
     assert 49 <= seen["/scan"].fewest <= seen["/scan"].most <= 51
     assert "/map" not in seen
     assert 0.0 < entropies["/local_costmap/costmap"] < entropies["/imu"] < 8.0
+
+
+def test_terms_that_normal_recordings_break_among_themselves_are_notes():
+    unsteady = replace(CONTRACT, unsteady=frozenset({"topic"}))
+    seen = replace(NORMAL[1], **with_topic("/spy", "std_msgs/msg/String", (), None))
+    (note,) = unsteady.breaches(seen)
+    assert (note.severity, note.term) == ("note", "topic")
+    assert unsteady.broken_terms(replace(seen, graph=frozenset())) == {"graph"}
+    assert Contract.from_dict(json.loads(json.dumps(unsteady.to_dict()))) == unsteady

@@ -19,7 +19,7 @@ from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.isolation import extract_isolated
 from oracle_pipeline.scoring.judging import judge
 from oracle_pipeline.scoring.learning import Cards, learn
-from oracle_pipeline.scoring.output import as_json, as_text
+from oracle_pipeline.scoring.output import as_json, as_text, card_as_text
 from oracle_pipeline.scoring.reference import Reference, read_reference
 from oracle_pipeline.scoring.verdict import ScoringError, Verdict
 from tests.oracle_pipeline.datasets.synthetic import run_features
@@ -327,6 +327,18 @@ def card(bags, normal, tmp_path) -> Path:
     table.attrs = dict(normal.attrs)
     learn(Reference(table, observations=tuple(seen))).save(tmp_path / "robot.card")
     return tmp_path / "robot.card"
+
+
+def test_terms_that_several_normal_recordings_break_are_noted_in_the_card(bags, normal):
+    (usual,) = extract_isolated(bags["usual"], build_manager())
+    names = [f"field{number}" for number in range(len(normal) // 10)]
+    steady = dict.fromkeys(names, "1")
+    fields = [{**steady, name: "2"} for name in names] + [steady] * (len(normal) - len(names))
+    seen = [replace(usual.observation, constants={"/odom": each}) for each in fields]
+    found = learn(Reference(normal, observations=tuple(seen)))
+    assert found.contract.unsteady == {"constant"}
+    assert found.breaching == 0
+    assert "Only noted, as normal recordings differ in it: constant." in card_as_text(found)
 
 
 def test_a_normal_recording_that_breaks_the_contract_is_a_breach(bags, card, tmp_path):
