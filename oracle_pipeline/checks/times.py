@@ -1,6 +1,5 @@
 """Checks of when messages came: gaps, late bursts, stamps and clocks that go back."""
 
-import re
 from collections.abc import Iterable, Iterator
 
 import numpy as np
@@ -11,8 +10,6 @@ _STEADY = 3.0  # the 95th percentile of a steady topic's periods, in medians
 _GAP, _SHORTEST_GAP_S = 10.0, 0.5  # a gap is both: in periods, and in seconds
 _LATE, _SHORTEST_LATE_S = 5.0, 0.2  # so is a delay before a burst
 _AT_ONCE, _BURST = 0.2, 3  # messages of a burst follow each other in this share of a period
-# Sent when something is to move, by a person or a task: silence between is no fault.
-_ON_DEMAND = re.compile("cmd|command|setpoint|joy|ackermann|/Twist(Stamped)?$", re.IGNORECASE)
 _DISORDER = 0.01  # more stamps that go back come from several publishers
 _STEP_NS = 1_000_000  # smaller steps back are rounding
 
@@ -20,7 +17,7 @@ _STEP_NS = 1_000_000  # smaller steps back are rounding
 def gaps(topic: CheckedTopic) -> Iterator[Fault]:
     """Find times in which a topic with a steady rate was silent; commands are sent on demand."""
     steps, period = _steps(topic)
-    if not period or _ON_DEMAND.search(f"{topic.name} {topic.msgtype}"):
+    if not period or topic.is_command:
         return
     found = np.flatnonzero(steps > max(_GAP * period, _SHORTEST_GAP_S))
     if len(found):

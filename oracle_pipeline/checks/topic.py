@@ -1,5 +1,6 @@
 """What a check sees of a recording, one topic at a time, and what it returns."""
 
+import re
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,6 +14,9 @@ from oracle_pipeline.features.signals.collector import SignalCollector, Signals
 Floats = NDArray[np.float64]
 
 _LIVELY_SHARE = 0.8  # of a signal's numbers differ from the one before: it has noise, or moves
+_COMMAND = re.compile(
+    "cmd|command|setpoint|actuator|joy|ackermann|/Twist(Stamped)?$", re.IGNORECASE
+)
 FEWEST = 50  # messages; of fewer, nothing is known about what is usual
 
 
@@ -50,6 +54,11 @@ class CheckedTopic:
     times_s: Floats
     stamps_ns: NDArray[np.int64]
     signals: tuple[Signals, ...]
+
+    @property
+    def is_command(self) -> bool:
+        """Whether it is sent on demand, and may leave values open, as PX4 does by NaN."""
+        return _COMMAND.search(f"{self.name} {self.msgtype}") is not None
 
 
 class CheckedSignal(NamedTuple):

@@ -177,15 +177,16 @@ def _limits(msgtype: str, name: str) -> tuple[float, float]:
 
 def not_finite(topic: CheckedTopic) -> Iterator[Fault]:
     """Find NaN and infinity in signals that are finite as a rule."""
-    if topic.msgtype == "sensor_msgs/msg/Range":
-        return  # infinity is "no return" there, REP 117
+    if topic.is_command or topic.msgtype == "sensor_msgs/msg/Range":
+        return  # NaN is "as it is" there, and infinity "no return", REP 117
     for signal in signals_of(topic):
         bad = ~np.isfinite(signal.values)
-        if not len(bad):
+        if len(bad) < FEWEST:
             continue
         bad[: int(np.argmin(bad))] = False  # before the first number there was none yet
+        bad[-1:] &= bad[-2:-1]  # the last message may say that there is none any more
         found = np.flatnonzero(bad)
-        if len(found) and bad.mean() < 0.5 and len(bad) >= FEWEST:
+        if len(found) and bad.mean() < 0.5:
             yield worst(
                 "not_finite", topic.name, signal.name, _at(signal, found), np.ones(len(found)),
                 "1", f"{signal.name} is NaN or infinite {{count}} times, first at {{at}}",

@@ -20,18 +20,8 @@ from oracle_pipeline.features.engine.point_clouds import sliced
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.replay.scene import DrawnGrid, Moment, ReplayScene
 from oracle_pipeline.reporting.stored_report import ReportError
+from oracle_pipeline.robots import roles as role
 from oracle_pipeline.robots.robot import find_robots
-from oracle_pipeline.robots.roles import (
-    BEHAVIOR_TREE,
-    LOCAL_COSTMAP,
-    MAP,
-    ODOMETRY,
-    PLAN,
-    SCAN,
-    STATIC_TRANSFORMS,
-    TRANSFORMS,
-    Roles,
-)
 
 MOST_MOMENTS = 20_000  # of a film
 FARTHEST_M = 1e8
@@ -79,12 +69,12 @@ class _Story:
     else the scan (attacked, if there is an attack) nearest to the middle of the recording.
     """
 
-    def __init__(self, run: OpenedRun, roles: Roles, moments_per_s: float | None) -> None:
+    def __init__(self, run: OpenedRun, roles: role.Roles, moments_per_s: float | None) -> None:
         self._run = run
         attacked = run.manifest if run.manifest and run.manifest.label == "malicious" else None
         self._attack = attacked.attack if attacked else {}
         self._onset_s = attacked.onset_s if attacked else None
-        self._has_odometry = bool(roles.found[ODOMETRY].topics)
+        self._has_odometry = bool(roles.found[role.ODOMETRY].topics)
         self._now_ns = 0  # since the start of the recording, without what was skipped
         self._skipped_ns = 0  # long pauses, and jumps of the recorder's clock
         self._step_ns = round(1e9 / moments_per_s) if moments_per_s else None
@@ -96,23 +86,23 @@ class _Story:
         self._start_in("")
 
         handlers: dict[str, Callable[[Any], None]] = {
-            MAP: self._on_map,
-            ODOMETRY: self._on_odometry,
-            TRANSFORMS: self._on_transforms,
-            STATIC_TRANSFORMS: self._frames.update,
+            role.MAP: self._on_map,
+            role.ODOMETRY: self._on_odometry,
+            role.TRANSFORMS: self._on_transforms,
+            role.STATIC_TRANSFORMS: self._frames.update,
         }
         if moments_per_s:
             handlers |= {
-                PLAN: self._on_plan,
-                LOCAL_COSTMAP: self._on_costmap,
-                BEHAVIOR_TREE: self._on_behaviors,
+                role.PLAN: self._on_plan,
+                role.LOCAL_COSTMAP: self._on_costmap,
+                role.BEHAVIOR_TREE: self._on_behaviors,
             }
         self._handlers = {
             topic: handle for role, handle in handlers.items() for topic in roles.found[role].topics
         }
         if attacked:
             self._handlers[ATTACKED] = self._on_attacked_scan
-        scans = [topic for topic in roles.found[SCAN].topics if topic != ATTACKED]
+        scans = [topic for topic in roles.found[role.SCAN].topics if topic != ATTACKED]
         if scans and (moments_per_s or not attacked):
             self._handlers[scans[0]] = self._on_scan
 

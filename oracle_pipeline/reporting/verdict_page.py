@@ -23,17 +23,8 @@ from oracle_pipeline.reporting.signal_plots import (
     signal_plots,
 )
 from oracle_pipeline.reporting.templating import png_uri, template
+from oracle_pipeline.scoring import output
 from oracle_pipeline.scoring.isolation import Limits, in_order, run_isolated
-from oracle_pipeline.scoring.output import (
-    HEADINGS,
-    MOST_BREACHES,
-    beside,
-    breaches,
-    cards,
-    cells,
-    family_as_text,
-    tally,
-)
 from oracle_pipeline.scoring.sentences import headline
 from oracle_pipeline.scoring.verdict import Judgement, Verdict
 
@@ -115,7 +106,7 @@ def write(
 
     page = template("verdicts.html.j2").render(
         headline=headline,
-        tally=tally(verdicts),
+        tally=output.tally(verdicts),
         judged=[
             _shown(verdict, far, frames)
             for verdict, frames in zip(verdicts, in_order(film, verdicts), strict=True)
@@ -124,10 +115,10 @@ def write(
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         words=_HEADLINES,
         meanings={name: feature.description for name, feature in manager.features().items()},
-        headings=HEADINGS[:4],
-        cells=cells,
+        headings=output.HEADINGS[:4],
+        cells=output.cells,
         far=far,
-        notes=[*cards(verdicts), *notes],
+        notes=[*output.cards(verdicts), *notes],
     )
     with replacing(path) as sink:
         sink.write(printable(page).encode())
@@ -136,14 +127,14 @@ def write(
 def _shown(
     verdict: Verdict, far: float, frames: Sequence[tuple[float, bytes]] | OracleError
 ) -> _Shown:
-    more = verdict.contract[MOST_BREACHES:]
-    remarks = [*map(family_as_text, verdict.families), *more, *verdict.notes]
+    more = verdict.contract[output.MOST_BREACHES :]
+    remarks = [*map(output.family_as_text, verdict.families), *more, *verdict.notes]
     if isinstance(frames, OracleError):
         remarks.append(f"It is not drawn: {frames}")
         frames = ()
     sentences = [
-        *verdict.cautions, *breaches(verdict, "the remarks list all"), _sentence(verdict, far),
-        *verdict.differences, *beside(verdict),
+        *verdict.cautions, *output.breaches(verdict, "the remarks list all"),
+        _sentence(verdict, far), *verdict.differences, *output.beside(verdict),
     ]  # fmt: skip
     length = max([length_s(verdict), *(at for at, _ in frames)])
     told = first_evidence(verdict)

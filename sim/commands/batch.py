@@ -12,17 +12,7 @@ import click
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import Manifest
-from sim.campaigns import (
-    DEFAULT_SEED,
-    ArenaChoice,
-    Campaign,
-    Navigation,
-    OdometrySource,
-    Options,
-    RecipeError,
-    Relation,
-    Wiring,
-)
+from sim import campaigns
 from sim.commands.progress import RunProgress, pace
 from sim.fan_out import fan_out, process_pool
 from sim.modes import modes
@@ -39,7 +29,7 @@ def home() -> Path:
 
 
 seed_option = click.option(
-    "--seed", default=DEFAULT_SEED, show_default=True, type=click.IntRange(min=0),
+    "--seed", default=campaigns.DEFAULT_SEED, show_default=True, type=click.IntRange(min=0),
     help="Seed of all randomness; the same seed gives the same messages.",
 )  # fmt: skip
 allow_actuation_option = click.option(
@@ -78,14 +68,14 @@ def _nav2_params(
 
     try:
         return named_values(words)
-    except RecipeError as error:
+    except campaigns.RecipeError as error:
         raise click.BadParameter(str(error)) from error
 
 
 _CAMPAIGN_OPTIONS = (
     seed_option,
     click.option(
-        "--goals", default=lambda: Campaign.from_environment().goals_per_run,
+        "--goals", default=lambda: campaigns.Campaign.from_environment().goals_per_run,
         type=click.IntRange(min=1),
         help="Goals of each run; the thesis used 1.  [default: $ORACLE_GOALS_PER_RUN or 8]",
     ),
@@ -94,36 +84,37 @@ _CAMPAIGN_OPTIONS = (
         help="Storage of the bag.",
     ),
     click.option(
-        "--sessions", default=lambda: Campaign.from_environment().sessions,
+        "--sessions", default=lambda: campaigns.Campaign.from_environment().sessions,
         type=click.IntRange(min=1),
         help="Number of sessions (days in the laboratory) in which blocks take turns.  [default: "
         "$ORACLE_SESSIONS or a session for each block]",
     ),
     click.option(
         "--noise-per-run", is_flag=True,
-        default=lambda: Campaign.from_environment().noise_per_run,
+        default=lambda: campaigns.Campaign.from_environment().noise_per_run,
         help="Draw sensor noise and latencies for each run instead of each block; an attack and "
         "its shadow control still share them.  [default: $ORACLE_NOISE_PER_RUN or no]",
     ),
     click.option(
-        "--wiring", default="additive", show_default=True, type=click.Choice(get_args(Wiring)),
+        "--wiring", default="additive", show_default=True,
+        type=click.Choice(get_args(campaigns.Wiring)),
         help="How the collision monitor receives the mode's topic: as one more LiDAR (additive), "
         "in place of the original LiDAR (replace), or not at all, without the node (absent).",
     ),
     click.option(
         "--odometry-source", default="world", show_default=True,
-        type=click.Choice(get_args(OdometrySource)),
+        type=click.Choice(get_args(campaigns.OdometrySource)),
         help="Source of /odom: ground truth, as on Humble, or the wheel encoders.",
     ),
     click.option(
-        "--arena", default=lambda: Campaign.from_environment().options.arena,
-        type=click.Choice(get_args(ArenaChoice)),
+        "--arena", default=lambda: campaigns.Campaign.from_environment().options.arena,
+        type=click.Choice(get_args(campaigns.ArenaChoice)),
         help="World of the runs; drawn: hexagon, house and random arenas take turns, block by "
         "block.  [default: $ORACLE_ARENA or drawn]",
     ),
     click.option(
-        "--nav2", default=lambda: Campaign.from_environment().options.nav2,
-        type=click.Choice(get_args(Navigation)),
+        "--nav2", default=lambda: campaigns.Campaign.from_environment().options.nav2,
+        type=click.Choice(get_args(campaigns.Navigation)),
         help="Settings of Nav2: tuned to the narrow gaps of the hexagon; stock, with which the "
         "collision monitor slows the robot down near walls; or drawn, which is stock in houses "
         "and tuned elsewhere.  [default: $ORACLE_NAV2 or tuned]",
@@ -134,7 +125,8 @@ _CAMPAIGN_OPTIONS = (
         "FollowPath.PathDist.scale=20; may be given more than once.",
     ),
     click.option(
-        "--relation", default="same", show_default=True, type=click.Choice(get_args(Relation)),
+        "--relation", default="same", show_default=True,
+        type=click.Choice(get_args(campaigns.Relation)),
         help="The task of the runs, compared with that of their blocks: the same; in a mirrored "
         "world; with start and goals in reverse order; or from a start up to 0.3 m away. `oracle "
         "kinds` expects the same behaviour in all of them.",
@@ -166,14 +158,14 @@ def campaign_options(command: Command) -> Command:
     return command
 
 
-def campaign(options: Mapping[str, Any]) -> Campaign:
+def campaign(options: Mapping[str, Any]) -> campaigns.Campaign:
     """Return the campaign that the options of ``campaign_options`` describe."""
-    names = {item.name for item in fields(Options)}
-    return Campaign(
+    names = {item.name for item in fields(campaigns.Options)}
+    return campaigns.Campaign(
         seed=options["seed"],
         goals_per_run=options["goals"],
         storage=options["storage"],
-        options=Options(**{name: options[name] for name in names}),
+        options=campaigns.Options(**{name: options[name] for name in names}),
         sessions=options["sessions"],
         session=options.get("session"),
         noise_per_run=options["noise_per_run"],

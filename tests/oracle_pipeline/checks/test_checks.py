@@ -133,12 +133,21 @@ def test_robot_that_stands_still_is_not_stuck(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["cmd_vel", "position_setpoint"])
-def test_silence_between_commands_is_no_gap(name, tmp_path):
-    def pause(tables: Tables) -> None:
+def test_commands_may_pause_and_leave_values_open(name, tmp_path):
+    def command(tables: Tables) -> None:
         silent_scanner(tables)
+        nan_acceleration(tables)
         tables[name] = tables.pop("imu")
 
-    assert "gap" not in {fault.check for fault in check_recording(drive(tmp_path, pause))}
+    checks = {fault.check for fault in check_recording(drive(tmp_path, command))}
+    assert not checks & {"gap", "not_finite"}
+
+
+def test_a_last_message_without_numbers_is_no_fault(tmp_path):
+    def end(tables: Tables) -> None:
+        tables["status"].loc[tables["status"].index[-1], "load"] = np.nan
+
+    assert check_recording(drive(tmp_path, end)) == []
 
 
 def test_gap_in_all_topics_is_one_fault_of_the_recording(tmp_path):
