@@ -67,7 +67,8 @@ def in_time_order(
             yield batch, np.argsort(batch.stamps_ns, kind="stable")
         return
     begins = [int(batch.stamps_ns.min(initial=_NEVER)) for batch in read()]
-    following = np.minimum.accumulate(np.array([*begins[1:], _NEVER])[::-1])[::-1]
+    after = np.array([*begins[1:], _NEVER][: len(begins)], dtype=np.int64)
+    following = np.minimum.accumulate(after[::-1])[::-1]
     waiting: list[tuple[Messages, Rows]] = []
     for batch, after_ns in zip(read(), following.tolist(), strict=True):
         if len(batch.stamps_ns):

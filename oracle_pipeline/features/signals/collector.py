@@ -22,7 +22,6 @@ MOST_BYTES = 32 * 2**20  # of the messages of a topic that are decoded; the othe
 MOST_MESSAGES = 20_000  # of a topic that are decoded
 _MOST_WAITING = 4 * 2**20  # bytes of a topic's messages that wait to be decoded together
 _OF_THE_MIDDLEWARE = "rcl_interfaces/"  # types of logs and of parameters
-_NAMED = 5  # of the topics that are left out
 _WHOLE_SHARE = 0.9  # of the messages of a topic; if fewer are whole, its type is wrong
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -174,7 +173,7 @@ class SignalCollector:
             topics = list(dict.fromkeys(cut))
             self.notes.append(
                 f"The recording has more than {MOST_SIGNALS} signals; those of {len(topics)} "
-                f"topics, such as {', '.join(topics[:_NAMED])}, are left out."
+                f"topics, such as {', '.join(topics[:5])}, are left out."
             )
         return sorted(found, key=lambda signals: signals.topic)
 

@@ -261,6 +261,12 @@ def test_profiles_of_metadata_belong_to_a_name_as_it_was_recorded(tmp_path, writ
         assert reader.topics["/chatter"].qos == profiles != ()
 
 
+def test_a_topic_that_a_disordered_recording_lacks_has_no_messages(tmp_path):
+    write_mcap(tmp_path / "a.mcap", DISORDERED, McapOptions(summary=False))
+    with BagReader(tmp_path / "a.mcap") as bag:
+        assert list(bag.messages(["/none"])) == []
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     stamps=st.lists(st.integers(0, 9), min_size=1, max_size=12),

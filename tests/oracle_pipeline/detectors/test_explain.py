@@ -58,6 +58,12 @@ def test_missing_features_are_not_deviations():
     assert "contextual.duration" not in [each.feature for each in explain(DF, row, COLUMNS)]
 
 
+def test_what_few_normal_runs_have_has_no_usual_range():
+    rare = DF.assign(**{"contextual.duration": DF["contextual.duration"].where(DF.index < 3)})
+    row = DF.iloc[[3]].assign(**{"contextual.duration": 9000.0})
+    assert "contextual.duration" not in {each.feature for each in explain(rare, row, COLUMNS)}
+
+
 def test_families_are_summarised_by_their_farthest_feature():
     row = DF.iloc[[3]].copy()
     row[COLUMNS] = DF[COLUMNS].median().to_numpy()
