@@ -30,9 +30,18 @@ class _Recording(click.Path):
         raise click.BadParameter(f"{value} {reason}", ctx, param)
 
 
+def _each_episode(_: Any, __: Any, paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """Return recordings: of a LeRobot data set its episodes."""
+    from oracle_pipeline.logs.files import is_dataset
+    from oracle_pipeline.logs.formats import logs_at
+
+    several = (logs_at(path) if is_dataset(path) else [path] for path in paths)
+    return tuple(each for found in several for each in found or ())
+
+
 recordings_argument = click.argument(
     "recordings", metavar="RUN_OR_BAG...", nargs=-1, required=True,
-    type=_Recording(path_type=Path),
+    type=_Recording(path_type=Path), callback=_each_episode,
 )  # fmt: skip
 
 plugins_option = click.option(

@@ -25,8 +25,7 @@ CHECKS: Mapping[str, Callable[[CheckedTopic], Iterator[Fault]]] = {
     "quaternion": values.rotations,
     "counter": values.counters,  # and "lost"
 }
-_MOST = 0.9  # of the topics with messages: a gap in these is one of the recording
-_FEWEST_TOPICS = 3
+_FEWEST_TOPICS = 3  # a gap in these may be one of the recording
 _MOST_TOLD = 5  # faults that are told beside a verdict
 
 
@@ -76,15 +75,17 @@ def _order(fault: Fault) -> tuple[float, str, str]:
 
 
 def _joined_gaps(faults: list[Fault], topics: list[CheckedTopic]) -> list[Fault]:
-    """Replace gaps of nearly all topics at the same time by one of the recording."""
+    """Replace gaps of several topics by one of the recording, if no topic has a message there."""
     gaps = [fault for fault in faults if fault.check == "gap"]
-    active = sum(len(topic.times_s) > 0 for topic in topics)
-    if len(gaps) < max(_FEWEST_TOPICS, _MOST * active):
+    if len(gaps) < _FEWEST_TOPICS:
         return faults
-    start_s, end_s = max(g.start_s for g in gaps), min(g.end_s for g in gaps)
-    if start_s >= end_s:
+    middle_s = float(np.median([(gap.start_s + gap.end_s) / 2.0 for gap in gaps]))
+    common = [gap for gap in gaps if gap.start_s < middle_s < gap.end_s] or gaps
+    start_s, end_s = max(g.start_s for g in common), min(g.end_s for g in common)
+    heard = (np.any((topic.times_s > start_s) & (topic.times_s < end_s)) for topic in topics)
+    if len(common) < _FEWEST_TOPICS or any(heard):
         return faults
     size = end_s - start_s
     text = f"no topic has a message for {size:.4g} s at {start_s:.2f} s: the recorder stood still"
     joined = Fault("gap", "", "", start_s, end_s, size, "s", 1, text)
-    return [joined, *(fault for fault in faults if fault.check != "gap")]
+    return [joined, *(fault for fault in faults if fault not in common)]

@@ -10,6 +10,9 @@ from pymavlink.DFReader import DFReader_binary
 from oracle_pipeline.logs.log import Log, LogError, LogTopic, numeric, reading
 
 _SKIPPED = {"FMT", "FMTU", "UNIT", "MULT", "PARM", "FILE", "MSG"}  # about the log; no signals
+# Fields with the time, and its unit [ns]. In logs of old releases, GPS has it as T, and its TimeMS
+# is that of the week.
+_TIMES = {"TimeUS": 1_000, "T": 1_000_000, "TimeMS": 1_000_000}
 _INSTANCES = ("I", "Instance", "C", "Core")  # fields that number sensors and estimators
 
 
@@ -37,11 +40,12 @@ def read_dataflash(path: Path) -> Log:
     for name, messages in sorted(rows.items()):
         arrays = ((key, np.array([m.get(key) for m in messages])) for key in messages[0])
         columns = numeric(arrays)
-        micros = columns.pop("TimeUS", None)
-        if micros is None or not columns:
+        time = next((field for field in _TIMES if field in columns), None)
+        if time is None or len(columns) == 1:
             found.notes.append(f"{name} has no numbers or no time and is not used.")
             continue
-        found.topics.append(LogTopic(name, micros.astype(np.int64) * 1000, columns))
+        times_ns = columns.pop(time).astype(np.int64) * _TIMES[time]
+        found.topics.append(LogTopic(name, times_ns, columns))
     if not found.topics:
         raise LogError(f"{path} holds no messages.")
     return found

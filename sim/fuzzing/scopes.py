@@ -6,20 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 
+from sim.fuzzing import grammar
 from sim.fuzzing.functions import BUILTINS, CONSTANTS
-from sim.fuzzing.grammar import (
-    FUNCTIONS,
-    ExpressionError,
-    called_function,
-    check_names,
-    error_at,
-    parse,
-)
 from sim.fuzzing.value_types import Boolean, Number, Type
 
 DRAWS = "rng"  # name of the random generators in an environment
 
-_RESERVED = frozenset({DRAWS, FUNCTIONS, *BUILTINS, *CONSTANTS})
+_RESERVED = frozenset({DRAWS, grammar.FUNCTIONS, *BUILTINS, *CONSTANTS})
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,11 +29,11 @@ class Function:
     text: str
 
     def __post_init__(self) -> None:
-        check_names(self.params, _RESERVED)
-        for node in ast.walk(parse(self.text)):
+        grammar.check_names(self.params, _RESERVED)
+        for node in ast.walk(grammar.parse(self.text)):
             match node:
                 case ast.Call(ast.Name(name)) if BUILTINS[name].draws:
-                    raise error_at(
+                    raise grammar.error_at(
                         self.text,
                         node,
                         f"a function cannot draw; pass the value of {name} as an argument",
@@ -74,24 +67,26 @@ class Scope:
     vectors: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        check_names([*self.names, *self.locals], _RESERVED)
-        check_names(self.functions)
+        grammar.check_names([*self.names, *self.locals], _RESERVED)
+        grammar.check_names(self.functions)
         for name in self.vectors:
             if not isinstance(self.locals.get(name), Number | Boolean):
-                raise ExpressionError(f"{name!r} is no local number or boolean to hold a vector.")
+                raise grammar.ExpressionError(
+                    f"{name!r} is no local number or boolean to hold a vector."
+                )
         _refuse_rings(tuple(self.functions.items()))
 
 
 @functools.lru_cache(maxsize=64)  # a scenario has many scopes and the same functions in each
 def _refuse_rings(functions: tuple[tuple[str, Function], ...]) -> None:
     calls = {
-        name: filter(None, map(called_function, ast.walk(parse(function.text))))
+        name: filter(None, map(grammar.called_function, ast.walk(grammar.parse(function.text))))
         for name, function in functions
     }
     try:
         TopologicalSorter(calls).prepare()
     except CycleError as error:
         ring = " calls ".join(f"fn.{name}" for name in error.args[1])
-        raise ExpressionError(
+        raise grammar.ExpressionError(
             f"Functions cannot call themselves, but {ring}; write the expression out."
         ) from None

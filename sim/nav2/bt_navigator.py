@@ -15,18 +15,8 @@ from sim.middleware.executor import MILLISECOND, SECOND
 from sim.middleware.node import Node
 from sim.middleware.stamps import duration_message, time_message
 from sim.middleware.tf import TransformBuffer, TransformError
-from sim.nav2 import actions
+from sim.nav2 import actions, behavior_tree
 from sim.nav2.actions import SimpleActionServer
-from sim.nav2.behavior_tree import (
-    NodeStatus,
-    PipelineSequence,
-    RateController,
-    ReactiveFallback,
-    RecoveryNode,
-    RoundRobin,
-    SequenceNode,
-    TreeNode,
-)
 from sim.nav2.behavior_tree_leaves import ActionNode, Condition, ServiceNode
 from sim.nav2.lifecycle import LifecycleNode
 from sim.nav2.messages import pose_stamped
@@ -131,7 +121,7 @@ class BtNavigator(LifecycleNode):
 
     # -- the tree --------------------------------------------------------------------------
 
-    def _make_tree(self) -> TreeNode:
+    def _make_tree(self) -> behavior_tree.TreeNode:
         allowance = duration_message(TIME_ALLOWANCE_NS)
         spin = _Spin(SPIN_RAD, allowance)
         wait = _Wait(duration_message(WAIT_NS))
@@ -144,24 +134,26 @@ class BtNavigator(LifecycleNode):
             on_success=self._on_path,
         )
         follow = ActionNode("FollowPath", self._node.follow, lambda: self._follow_goal, self._wake)
-        navigate = PipelineSequence(
+        navigate = behavior_tree.PipelineSequence(
             "NavigateWithReplanning",
             [
-                RateController(
-                    RecoveryNode(
+                behavior_tree.RateController(
+                    behavior_tree.RecoveryNode(
                         "ComputePathToPose", plan, self._clear("Global", "Context"), retries=1
                     ),
                     REPLAN_PERIOD_NS,
                     lambda: self.now_ns,
                     self._wake_at,
                 ),
-                RecoveryNode("FollowPath", follow, self._clear("Local", "Context"), retries=1),
+                behavior_tree.RecoveryNode(
+                    "FollowPath", follow, self._clear("Local", "Context"), retries=1
+                ),
             ],
         )
-        recover = RoundRobin(
+        recover = behavior_tree.RoundRobin(
             "RecoveryActions",
             [
-                SequenceNode(
+                behavior_tree.SequenceNode(
                     "ClearingActions",
                     [self._clear("Local", "Subtree"), self._clear("Global", "Subtree")],
                 ),
@@ -171,8 +163,8 @@ class BtNavigator(LifecycleNode):
             ],
         )
         updated = Condition("GoalUpdated", self._is_goal_updated)
-        fallback = ReactiveFallback("RecoveryFallback", [updated, recover])
-        return RecoveryNode("NavigateRecovery", navigate, fallback, RETRIES)
+        fallback = behavior_tree.ReactiveFallback("RecoveryFallback", [updated, recover])
+        return behavior_tree.RecoveryNode("NavigateRecovery", navigate, fallback, RETRIES)
 
     def _recovery(self, name: str, client: ActionClient, goal: Any) -> ActionNode:
         return ActionNode(name, client, lambda: goal, self._wake, on_start=self._count_recovery)
@@ -193,7 +185,12 @@ class BtNavigator(LifecycleNode):
         self._follow_goal = _FollowPath(result.path, "FollowPath", "")
         self._path = path_poses(result.path)
 
-    def _on_change(self, node: TreeNode, previous: NodeStatus, status: NodeStatus) -> None:
+    def _on_change(
+        self,
+        node: behavior_tree.TreeNode,
+        previous: behavior_tree.NodeStatus,
+        status: behavior_tree.NodeStatus,
+    ) -> None:
         stamp = time_message(self.now_ns)
         self._changes.append(
             _BehaviorTreeStatusChange(stamp, node.name, previous.name, status.name)
@@ -263,9 +260,9 @@ class BtNavigator(LifecycleNode):
         if changed:
             self._node.log.publish(_BehaviorTreeLog(time_message(self.now_ns), self._changes))
             self._changes = []
-        if status is NodeStatus.SUCCESS:
+        if status is behavior_tree.NodeStatus.SUCCESS:
             self._end(GoalHandle.succeed, "Goal succeeded")
-        elif status is NodeStatus.FAILURE:
+        elif status is behavior_tree.NodeStatus.FAILURE:
             self._end(GoalHandle.abort, "Goal failed")
         elif changed or self._goals.feedback_is_received:
             self._wake()

@@ -74,7 +74,7 @@ def ulog(folder: Path, begin_us: int = 0) -> Path:
     return path
 
 
-def dataflash(folder: Path) -> Path:
+def dataflash(folder: Path, field: bytes = b"TimeUS", unit_s: float = 1e-6) -> Path:
     head = b"\xa3\x95"
 
     def form(kind: int, size: int, name: bytes, types: bytes, columns: bytes) -> bytes:
@@ -82,9 +82,9 @@ def dataflash(folder: Path) -> Path:
 
     path = folder / "flight.bin"
     content = form(128, 89, b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns")
-    content += form(129, 3 + 8 + 4, b"ATT", b"Qf", b"TimeUS,Roll")
+    content += form(129, 3 + 8 + 4, b"ATT", b"Qf", field + b",Roll")
     for time_s, value in zip(TIMES_S, SIGNAL, strict=True):
-        content += head + struct.pack("<BQf", 129, int(time_s * 1e6), value)
+        content += head + struct.pack("<BQf", 129, round(time_s / unit_s), value)
     path.write_bytes(content)
     return path
 

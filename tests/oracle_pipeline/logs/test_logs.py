@@ -50,6 +50,20 @@ def test_what_px4_published_before_the_log_began_is_at_its_beginning(tmp_path):
     assert len(stamps) == samples.COUNT
 
 
+@pytest.mark.parametrize("field", [b"TimeMS", b"T"])
+def test_dataflash_of_old_releases_has_its_time_in_milliseconds(field, tmp_path):
+    with open_run(samples.dataflash(tmp_path, field, 1e-3)) as run:
+        assert run.bag.topics["/ATT"].count == samples.COUNT
+        assert run.duration_s == pytest.approx(samples.TIMES_S[-1], abs=1e-6)
+
+
+def test_a_data_set_is_given_to_commands_as_its_episodes(tmp_path):
+    dataset = samples.lerobot(tmp_path).parent
+    done = CliRunner().invoke(main, ["check", str(dataset), "--format", "json"])
+    names = [Path(each["recording"]).name for each in json.loads(done.stdout)["recordings"]]
+    assert names == ["episode_000000", "episode_000001"]
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_damaged_log_is_refused_in_one_line_or_read_in_part(kind, tmp_path):
     write, topic, _ = samples.SAMPLES[kind]
