@@ -103,9 +103,9 @@ def _values(table: pa.Table, name: str) -> Any:
 
 
 def _named(values: Any, names: Any) -> dict[str, Any]:
-    """Return columns by the names that the data set states, or as one array."""
-    if isinstance(names, dict):
-        names = next((each for each in names.values() if isinstance(each, list)), None)
+    """Return columns by the names that the data set states, also in a group, or as one array."""
+    groups = names.values() if isinstance(names, dict) else names or ()
+    names = next((each for each in groups if isinstance(each, list)), names)
     if isinstance(names, list) and len(names) == values.shape[1]:
         return {str(name): values[:, number] for number, name in enumerate(names)}
     return {"value": values if values.shape[1] > 1 else values[:, 0]}

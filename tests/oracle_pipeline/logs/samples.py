@@ -32,8 +32,10 @@ def lerobot(folder: Path, version: int = 2) -> Path:
     (dataset / "meta").mkdir(parents=True)
     data = dataset / "data" / "chunk-000"
     data.mkdir(parents=True)
+    joints = ["pan", "lift"]
+    names = {2: joints, 3: [joints]}[version]
     features = {
-        "observation.state": {"dtype": "float32", "shape": [2], "names": ["pan", "lift"]},
+        "observation.state": {"dtype": "float32", "shape": [2], "names": names},
         "action": {"dtype": "float32", "shape": [2], "names": None},
     }
     about = {"codebase_version": f"v{version}.0", "fps": RATE_HZ, "total_episodes": 2}
