@@ -87,6 +87,15 @@ def test_nested_fields_quaternions_covariances_and_arrays_are_signals(bag_of, me
     assert not [name for name in found if "stamp" in name or "frame_id" in name]
 
 
+def test_each_joint_of_a_humanoid_is_a_signal_of_an_array_without_names(bag_of):
+    layout = message_class("std_msgs/msg/MultiArrayLayout")([], 0)
+    make = message_class("std_msgs/msg/Float64MultiArray")
+    angles = np.arange(27.0)
+    found = signals_of(bag_of([(n * 0.1, "/joints", make(layout, angles)) for n in range(60)]))
+    levels = [value for name, value in found.items() if name.endswith(".mean")]
+    assert set(angles) <= set(levels)
+
+
 def test_links_that_pass_the_pole_on_either_side_have_the_same_signals(bag_of):
     angles = np.linspace(1.2, 1.9, COUNT)
     found = signals_of(bag_of([
