@@ -178,7 +178,7 @@ class SignalCollector:
         return sorted(found, key=lambda signals: signals.topic)
 
     def _order(self, number: int) -> tuple[int, str]:
-        """Return the place of a topic: those with many messages first, in steps of two."""
+        """Return the place of a topic: those with many messages first, by powers of two."""
         return -sum(map(len, self._numbers[number])).bit_length(), self._names[number]
 
     def _decoded(self, number: int) -> Iterator[Numbers]:
