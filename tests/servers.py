@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-PATIENCE_S = 60
+PATIENCE_S = 240  # of a busy machine
 _LIBC, _PR_SET_PDEATHSIG = ctypes.CDLL(None), 1
 
 

@@ -271,7 +271,7 @@ def _scored(
     evidence = farthest_features(deviations, tables, normal)
     return replace(
         verdict,
-        features=len(columns) + len(signals),
+        features=len(columns or signals),
         evidence=evidence,
         series=window_series(evidence, tables.windows, normal),
         families=tuple(by_family(deviations, [*columns, *signals])),
