@@ -42,8 +42,8 @@ def fetched(folder: Path) -> Iterator[Path]:
         return
     with tempfile.TemporaryDirectory(prefix="oracle-") as scratch:
         store, prefix = _objects_of(folder)
-        local = Path(scratch, prefix)  # so that messages name the place
-        objects = store.find(prefix)
+        local = Path(scratch, *prefix.strip("/").split("/"))  # so that messages name the place
+        objects = [name for name in store.find(prefix) if ".." not in name.split("/")]
         store.get(objects, [str(local / object_[len(prefix) + 1 :]) for object_ in objects])
         yield local
 

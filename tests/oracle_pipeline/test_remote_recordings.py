@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from oracle_pipeline.bags.remote import place_at, publish
+from oracle_pipeline.bags.remote import fetched, place_at, publish
 from oracle_pipeline.cli import main as oracle
 from tests.recorded_runs import RecordedRuns
 from tests.servers import s3_server
@@ -39,6 +39,17 @@ def test_a_folder_and_a_file_have_the_features_of_their_copies_here(
     of_place = {"run_id", "block"}
     assert all(folder[name] == value for name, value in ours.items() if name not in of_place)
     assert ours.keys() == alone.keys()
+
+
+def test_an_object_whose_name_leaves_its_folder_is_not_copied(bucket: str) -> None:
+    folder = place_at(f"{bucket}/night/odd")
+    for name in ("fine.txt", "../../../../leaving.txt"):
+        folder.fs.pipe_file(f"{folder.path}/{name}", b"text")  # type: ignore[attr-defined]
+    assert len(folder.fs.find(folder.path)) == 2  # type: ignore[attr-defined]
+    with fetched(folder) as local:
+        copied = [file.name for file in local.parents[2].rglob("*") if file.is_file()]
+        assert copied == ["fine.txt"]
+        assert not (local.parents[3] / "leaving.txt").exists()
 
 
 @pytest.mark.parametrize(

@@ -105,7 +105,9 @@ def test_in_place_a_scenario_adds_altered_messages_and_the_originals_stay(record
     values = numbers(run, "/level")
     originals = {value for value in values if value + -0.2 in values}
     assert values.index(min(values)) > 20, "it began before the onset"
-    assert 0 < len(originals) == sum(change.messages for change in manifest.changes)
+    altered = sum(change.messages for change in manifest.changes)
+    assert altered > 20
+    assert abs(len(originals) - altered) <= 1, "one may be under way when the recorder ends"
     assert read_gexf(run.graphs / "run.gexf").has_edge("node:/oracle_relay", "topic:/level")
 
 
