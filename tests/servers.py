@@ -105,7 +105,9 @@ def s3_server(bucket: str) -> Iterator[dict[str, str]]:
     """Start an S3 server with an empty bucket; yield the variables by which clients find it."""
     import boto3
     from moto.server import ThreadedMotoServer
+    from s3fs import S3FileSystem
 
+    S3FileSystem.clear_instance_cache()  # clients of an earlier server of this process
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     try:
