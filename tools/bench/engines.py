@@ -18,7 +18,7 @@ from distributed import LocalCluster
 from assets.worker.run import process_run
 from assets.worker.run_job import OF_A_RUN, RunJob
 from oracle_pipeline.bags.run_directory import RunDirectory
-from resources.cluster import DaskExecutor
+from resources.cluster import PATIENCE_S, DaskExecutor
 from sim.campaigns import Campaign
 from sim.fan_out import process_pool
 from tools.bench import yardstick
@@ -43,7 +43,7 @@ def rows() -> Iterator[Row]:
         executors = {
             "one": engines.enter_context(process_pool(1)),
             "two": engines.enter_context(process_pool(2)),
-            "dask": engines.enter_context(DaskExecutor(cluster.scheduler_address)),
+            "dask": engines.enter_context(DaskExecutor(cluster.scheduler_address, PATIENCE_S)),
         }
         for number, executor in enumerate(executors.values()):  # compiles and imports
             _seconds(executor, Path(folder, f"warm_up_{number}"), 2)
