@@ -77,13 +77,12 @@ def _order(fault: Fault) -> tuple[float, str, str]:
 def _joined_gaps(faults: list[Fault], topics: list[CheckedTopic]) -> list[Fault]:
     """Replace gaps of several topics by one of the recording, if no topic has a message there."""
     gaps = [fault for fault in faults if fault.check == "gap"]
-    if len(gaps) < _FEWEST_TOPICS:
+    middle_s = float(np.median([(gap.start_s + gap.end_s) / 2.0 for gap in gaps] or [0.0]))
+    common = [gap for gap in gaps if gap.start_s < middle_s < gap.end_s]
+    if len(common) < _FEWEST_TOPICS:
         return faults
-    middle_s = float(np.median([(gap.start_s + gap.end_s) / 2.0 for gap in gaps]))
-    common = [gap for gap in gaps if gap.start_s < middle_s < gap.end_s] or gaps
     start_s, end_s = max(g.start_s for g in common), min(g.end_s for g in common)
-    heard = (np.any((topic.times_s > start_s) & (topic.times_s < end_s)) for topic in topics)
-    if len(common) < _FEWEST_TOPICS or any(heard):
+    if any(np.any((topic.times_s > start_s) & (topic.times_s < end_s)) for topic in topics):
         return faults
     size = end_s - start_s
     text = f"no topic has a message for {size:.4g} s at {start_s:.2f} s: the recorder stood still"

@@ -163,6 +163,18 @@ def test_gap_in_all_topics_is_one_fault_of_the_recording(tmp_path):
     assert "the recorder stood still" in fault.text
 
 
+def test_gaps_at_different_times_stay_those_of_their_topics(tmp_path):
+    def pause(tables: Tables) -> None:
+        for number, name in enumerate(list(tables)):  # four topics, an even number
+            table, begin_s = tables[name], 2.0 + 4.0 * number
+            tables[name] = table[~table.Time.between(begin_s, begin_s + 1.5)]
+
+    found = check_recording(drive(tmp_path, pause))
+    gaps = [fault for fault in found if fault.check == "gap"]
+    assert {fault.topic for fault in gaps} == {"/imu", "/odom", "/gps", "/status"}
+    assert all(fault.size > 1.0 for fault in gaps)
+
+
 def test_command_reports_faults_in_all_forms(tmp_path):
     bad, good = drive(tmp_path / "bad", frozen_imu), sound_drive(tmp_path / "good", 0)
     junit, page = tmp_path / "checks.xml", tmp_path / "checks.html"
