@@ -34,9 +34,9 @@ class _Recording(click.Path):
 def _each_episode(_: Any, __: Any, paths: tuple[Path, ...]) -> tuple[Path, ...]:
     """Return recordings: of a LeRobot data set its episodes."""
     from oracle_pipeline.logs.files import is_dataset
-    from oracle_pipeline.logs.lerobot import episodes
+    from oracle_pipeline.logs.formats import logs_at
 
-    several = (episodes(path) if is_dataset(path) else [path] for path in paths)
+    several = ((is_dataset(path) and logs_at(path)) or [path] for path in paths)
     return tuple(itertools.chain.from_iterable(several))
 
 
