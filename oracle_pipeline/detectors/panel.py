@@ -5,7 +5,9 @@ docs/explanation/detectors.md describes strengths and pitfalls of each. Detector
 packages follow: an entry point of the group `PLUGINS` names a class or function that returns one.
 """
 
+import functools
 import importlib.metadata
+import sys
 from collections.abc import Mapping
 
 from sklearn.ensemble import IsolationForest
@@ -50,8 +52,14 @@ def named_detector(name: str, seed: int) -> Detector:
 
 def _plugged() -> dict[str, Detector]:
     """Return the detectors of installed packages, unfitted, by name."""
-    found = importlib.metadata.entry_points(group=PLUGINS)
+    found = _entry_points(tuple(sys.path))
     return {point.name: _made(point) for point in sorted(found, key=lambda point: point.name)}
+
+
+@functools.cache
+def _entry_points(_places: tuple[str, ...]) -> importlib.metadata.EntryPoints:
+    """Return the entry points of the packages in some places, whose search takes a while."""
+    return importlib.metadata.entry_points(group=PLUGINS)
 
 
 def _made(point: importlib.metadata.EntryPoint) -> Detector:

@@ -24,7 +24,8 @@ def shared_features(
         They share no feature, or a feature has different units.
     """
     fields, own = field_metadata(reference), field_metadata(row)
-    columns = [c for c in candidates if c in row.columns and np.isfinite(row[c]).all()]
+    values = row.reindex(columns=list(candidates)).to_numpy(dtype=np.float64)
+    columns = [c for c, value in zip(candidates, values.T, strict=True) if np.isfinite(value).all()]
     for column in columns:
         units = [meta[column].get("unit") for meta in (fields, own) if column in meta]
         if len(set(units)) > 1:

@@ -1,5 +1,6 @@
 """Learns reference cards from normal runs, one for each kind of system in a reference."""
 
+import functools
 import itertools
 from collections import Counter
 from collections.abc import Collection, Sequence
@@ -10,19 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
-from oracle_pipeline.datasets import (
-    feature_columns,
-    feature_floors,
-    field_metadata,
-    is_malicious,
-    signal_columns,
-)
+from oracle_pipeline import datasets
 from oracle_pipeline.detectors import DEFAULT_DETECTOR, named_detector, panel
 from oracle_pipeline.features import FeatureManager
 from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.roles_file import RoleChoices
+from oracle_pipeline.scoring import run_scorer
 from oracle_pipeline.scoring.card import ReferenceCard, is_card
 from oracle_pipeline.scoring.comparable import same_kind, shared_features
 from oracle_pipeline.scoring.contract import Contract, Observation
@@ -30,14 +26,6 @@ from oracle_pipeline.scoring.cross_conformal import SEED, CrossConformalScorer
 from oracle_pipeline.scoring.feature_sets import ASPECTS, feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.reference import Reference, read_reference
-from oracle_pipeline.scoring.run_scorer import (
-    OF_FEATURES,
-    OF_SIGNALS,
-    OF_WINDOWS,
-    PLAIN,
-    Design,
-    common_length,
-)
 from oracle_pipeline.scoring.selection import counted, without_odd
 from oracle_pipeline.scoring.starts import effects_of_start
 from oracle_pipeline.scoring.verdict import CardOrigin, ScoringError
@@ -140,26 +128,32 @@ def learned_scorer(
     scorer_design = design(normal, features)
     if detector:
         scorer_design = _of_detector(scorer_design, detector)
-    with threadpool_limits(1, user_api="blas"):  # threads are slower on matrices this small
+    # Threads are slower on matrices this small.
+    with _libraries().limit(limits=1, user_api="blas"):
         return CrossConformalScorer(scorer_design).fit(normal, np.random.default_rng(SEED))
 
 
-def design(runs: MeasuredRuns, features: str = "all") -> Design:
+@functools.cache
+def _libraries() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+def design(runs: MeasuredRuns, features: str = "all") -> run_scorer.Design:
     """Return the design: the features of a set that these runs and their windows have."""
     columns = feature_sets(runs.features).get(features, [])
     if not columns:
         raise ScoringError("The normal runs have no feature with a value; extract them again.")
-    of_windows = set(feature_columns(runs.windows))
-    of_features = Design(
+    of_windows = set(datasets.feature_columns(runs.windows))
+    of_features = run_scorer.Design(
         panel(SEED)[DEFAULT_DETECTOR],
         tuple(columns),
         tuple(column for column in columns if column in of_windows),
-        feature_floors(runs.features),
+        datasets.feature_floors(runs.features),
     )
     return _with_signals(of_features, runs) if features == "all" else of_features
 
 
-def _with_signals(of_features: Design, runs: MeasuredRuns) -> Design:
+def _with_signals(of_features: run_scorer.Design, runs: MeasuredRuns) -> run_scorer.Design:
     """Return a design with signals, and without features that say little beside them.
 
     Features of any bag measure bytes and rates. Signals tell more about a robot that has no other
@@ -170,26 +164,26 @@ def _with_signals(of_features: Design, runs: MeasuredRuns) -> Design:
     run_signals = common_signals(runs.features, settings)
     if not run_signals:
         return of_features
-    fields = field_metadata(runs.features)
+    fields = datasets.field_metadata(runs.features)
     knows_robot = any(fields[c].get("origin") != "generic" for c in of_features.run_features)
     has_moved = np.median(runs.counts) > 1
-    is_long = common_length(runs.counts) >= LONG
+    is_long = run_scorer.common_length(runs.counts) >= LONG
     has_range = len(runs.counts) >= FEWEST_IN_RANGE
-    left_out = {*(() if is_long else OF_WINDOWS), *(() if has_range else ("farthest",))}
-    of_signals = (level for level in OF_SIGNALS if level not in left_out)
+    left_out = {*(() if is_long else run_scorer.OF_WINDOWS), *(() if has_range else ("farthest",))}
+    of_signals = (level for level in run_scorer.OF_SIGNALS if level not in left_out)
     window_signals = common_signals(runs.windows, settings) if is_long else ()
     return replace(
         of_features,
         floors={**of_features.floors, **effects_of_start(runs)},
         run_signals=run_signals,
         window_signals=window_signals,
-        levels=(*(OF_FEATURES if knows_robot and has_moved else ()), *of_signals),
+        levels=(*(run_scorer.OF_FEATURES if knows_robot and has_moved else ()), *of_signals),
     )
 
 
-def _of_detector(ours: Design, name: str) -> Design:
+def _of_detector(ours: run_scorer.Design, name: str) -> run_scorer.Design:
     """Return a design of one detector on plain statistics of signals, or else on features."""
-    level = PLAIN if ours.columns(PLAIN) else "run"
+    level = run_scorer.PLAIN if ours.columns(run_scorer.PLAIN) else "run"
     return replace(
         ours, detector=named_detector(name, SEED), named=name, levels=(level,), window_features=()
     )
@@ -197,7 +191,7 @@ def _of_detector(ours: Design, name: str) -> Design:
 
 def common_signals(table: pd.DataFrame, settings: Collection[str]) -> tuple[str, ...]:
     """Return the columns of signals that nearly all rows have, without the levels of settings."""
-    columns = signal_columns(table)
+    columns = datasets.signal_columns(table)
     given = np.isfinite(table[columns].to_numpy(dtype=np.float64)).mean(axis=0)
     return tuple(
         column
@@ -214,7 +208,7 @@ def settings_among(runs: pd.DataFrame) -> set[str]:
     messages are none: a rate is behaviour.
     """
     found = set()
-    for column in signal_columns(runs):
+    for column in datasets.signal_columns(runs):
         signal, _, statistic = column.rpartition(".")
         spread = f"{signal}.std"
         if statistic == "mean" and spread in runs and not signal.endswith("/period"):
@@ -280,7 +274,7 @@ class Cards:
     @property
     def known(self) -> Known | None:
         """Topics of the normal recordings, and their roles; None if only tables were read."""
-        normal = ~is_malicious(self._reference.table)
+        normal = ~datasets.is_malicious(self._reference.table)
         seen = list(itertools.compress(self._reference.observations, normal))
         return Contract.learned(seen).known if seen else None
 
@@ -295,7 +289,7 @@ class Cards:
 
     def _of_kind(self, columns: Sequence[str]) -> Reference:
         reference = self._reference
-        alike = same_kind(reference.table, columns) | is_malicious(reference.table)
+        alike = same_kind(reference.table, columns) | datasets.is_malicious(reference.table)
         notes = reference.notes
         if not alike.all():
             notes = (

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.datasets import feature_columns, is_malicious, signal_columns
@@ -27,7 +28,9 @@ def counted(reference: Reference) -> Reference:
     if left_out := int(np.sum(~kept)):
         notes.append(f"{left_out} attacked runs of the reference are left out.")
     measured = [*feature_columns(reference.table), *signal_columns(reference.table)]
-    copies = reference.table.duplicated([*measured, "label"]).to_numpy() & kept
+    values = reference.table[measured].to_numpy(dtype=np.float64)
+    same = pd.DataFrame({"values": list(map(bytes, values)), "label": reference.table["label"]})
+    copies = same.duplicated().to_numpy() & kept
     if copies.any():
         names = _named(reference, copies)
         notes.append(f"{names}: the same as another recording, which counts once.")

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from oracle_pipeline.cli import main
-from oracle_pipeline.datasets import KEYS, feature_columns, feature_floors, write_table
+from oracle_pipeline.datasets import KEYS, Fields, feature_columns, feature_floors, write_table
 from oracle_pipeline.features import FeatureTables, build_manager, extract
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.card import ReferenceCard
@@ -215,7 +215,7 @@ def test_thesis_features_and_shortcuts_do_not_affect_the_verdict(normal, extract
     fields = {**normal.attrs["fields"], "other.who": {"unit": "1", "shortcut": "true"}}
     wider = normal.assign(**{"thesis.size_0": 1.0, "other.who": 1.0})
     run = extracted["usual"].run.assign(**{"thesis.size_0": 9e9, "other.who": 9e9})
-    wider.attrs["fields"] = run.attrs["fields"] = fields
+    wider.attrs["fields"] = run.attrs["fields"] = Fields(fields)
     verdict = judged(FeatureTables(run, extracted["usual"].windows), wider)
     assert verdict.outcome == "normal"
     assert all(e.feature not in ("thesis.size_0", "other.who") for e in verdict.evidence)
