@@ -1,6 +1,5 @@
 """Options that several commands of ``oracle`` share."""
 
-import itertools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -33,11 +32,10 @@ class _Recording(click.Path):
 
 def _each_episode(_: Any, __: Any, paths: tuple[Path, ...]) -> tuple[Path, ...]:
     """Return recordings: of a LeRobot data set its episodes."""
-    from oracle_pipeline.logs.files import is_dataset
-    from oracle_pipeline.logs.formats import logs_at
+    from oracle_pipeline.logs.files import episodes, is_dataset
 
-    several = ((is_dataset(path) and logs_at(path)) or [path] for path in paths)
-    return tuple(itertools.chain.from_iterable(several))
+    several = (episodes(path) if is_dataset(path) else [path] for path in paths)
+    return tuple(each for found in several for each in found)
 
 
 recordings_argument = click.argument(

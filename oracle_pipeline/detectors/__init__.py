@@ -4,7 +4,7 @@ Detectors are scikit-learn estimators. ``oracle_pipeline.scoring.conformal`` tur
 into verdicts with a known false positive rate.
 """
 
-from oracle_pipeline.detectors.base import Detector, DetectorError
+from oracle_pipeline.detectors.base import Detector, DetectorError, single_threaded
 from oracle_pipeline.detectors.distances import BeyondRange, Mahalanobis
 from oracle_pipeline.detectors.explain import (
     Deviation,
@@ -32,4 +32,5 @@ __all__ = [
     "named_detector",
     "panel",
     "pipeline",
+    "single_threaded",
 ]

@@ -1,11 +1,14 @@
 """The interface of all detectors: fit on normal runs only, and score each run independently."""
 
+import functools
+from contextlib import AbstractContextManager
 from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, OutlierMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
+from threadpoolctl import ThreadpoolController
 
 from oracle_pipeline.bags.errors import OracleError
 
@@ -25,6 +28,15 @@ class Detector(Protocol):
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Return the parameters of the constructor."""
+
+
+_libraries = functools.cache(ThreadpoolController)  # it searches what is loaded
+
+
+def single_threaded() -> AbstractContextManager[object]:
+    """Limit linear algebra to one thread: several are slower on the matrices of few runs."""
+    limited: AbstractContextManager[object] = _libraries().limit(limits=1, user_api="blas")
+    return limited
 
 
 class OwnDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped bases

@@ -5,9 +5,7 @@ docs/explanation/detectors.md describes strengths and pitfalls of each. Detector
 packages follow: an entry point of the group `PLUGINS` names a class or function that returns one.
 """
 
-import functools
 import importlib.metadata
-import sys
 from collections.abc import Mapping
 
 from sklearn.ensemble import IsolationForest
@@ -24,7 +22,7 @@ PLUGINS = "oracle_pipeline.detectors"  # group of entry points
 def panel(seed: int) -> dict[str, Detector]:
     """Return the detectors by name, unfitted; `seed` is for randomised ones."""
     return {
-        "mahalanobis": Mahalanobis(),
+        DEFAULT_DETECTOR: Mahalanobis(),
         "isolation_forest": IsolationForest(n_estimators=300, random_state=seed),
         "pca": PrincipalComponents(),
         "z_3": LargestZ(3),
@@ -52,14 +50,8 @@ def named_detector(name: str, seed: int) -> Detector:
 
 def _plugged() -> dict[str, Detector]:
     """Return the detectors of installed packages, unfitted, by name."""
-    found = _entry_points(tuple(sys.path))
+    found = importlib.metadata.entry_points(group=PLUGINS)
     return {point.name: _made(point) for point in sorted(found, key=lambda point: point.name)}
-
-
-@functools.cache
-def _entry_points(_places: tuple[str, ...]) -> importlib.metadata.EntryPoints:
-    """Return the entry points of the packages in some places, whose search takes a while."""
-    return importlib.metadata.entry_points(group=PLUGINS)
 
 
 def _made(point: importlib.metadata.EntryPoint) -> Detector:

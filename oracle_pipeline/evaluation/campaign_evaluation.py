@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from threadpoolctl import threadpool_limits
 
 from oracle_pipeline.datasets import is_hard_negative
-from oracle_pipeline.detectors import Detector, DetectorError, panel
+from oracle_pipeline.detectors import Detector, DetectorError, panel, single_threaded
 from oracle_pipeline.evaluation import integrity_checks, splits
 from oracle_pipeline.evaluation.alarm_metrics import judge_alarms
 from oracle_pipeline.evaluation.aspects import aspects_table
@@ -102,7 +101,7 @@ def evaluate(
         The tables do not fit together.
     """
     steps = _Steps(JudgedRuns.of(features, windows, truth), observations or {}, seed, progress)
-    with threadpool_limits(1, user_api="blas"):  # threads are slower on matrices this small
+    with single_threaded():
         return _evaluated(steps, truth, graph_differences, grid)
 
 

@@ -1,14 +1,18 @@
 """What kind of log a path is, by its name, its first bytes and the columns of Parquet."""
 
+import json
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from oracle_pipeline.bags.parts import is_recording
+from oracle_pipeline.logs.log import reading
 
 LogFormat: TypeAlias = Literal["tables", "lerobot", "ulog", "dataflash"]
 
 EPISODE = "episode_"
-INFORMATION = Path("meta", "info.json")  # of a LeRobot data set
+_INFORMATION = Path("meta", "info.json")  # of a LeRobot data set
+_LARGEST = 16 * 2**20  # bytes of it
 
 _KEYS = {"run_id", "mode", "label", "block"}  # of a table of features
 _SUFFIXES = (".csv", ".parquet")
@@ -37,12 +41,35 @@ def tables_in(folder: Path) -> list[Path]:
 
 def is_dataset(path: Path) -> bool:
     """Return whether a folder is a LeRobot data set."""
-    return (path / INFORMATION).is_file() and (path / "data").is_dir()
+    return (path / _INFORMATION).is_file() and (path / "data").is_dir()
 
 
 def is_episode(path: Path) -> bool:
     """Return whether a path names an episode, ``<data set>/episode_000003``."""
     return path.name.startswith(EPISODE) and not path.suffix and is_dataset(path.parent)
+
+
+def episodes(dataset: Path) -> Iterator[Path]:
+    """Yield the paths that name the episodes of a LeRobot data set."""
+    for number in range(int(information(dataset).get("total_episodes", 0))):
+        yield dataset / f"{EPISODE}{number:06d}"
+
+
+def information(dataset: Path) -> dict[str, Any]:
+    """Return what a LeRobot data set says of itself: its features, among others.
+
+    Raises
+    ------
+    LogError
+        If it says nothing that can be read.
+    """
+    file = dataset / _INFORMATION
+    with reading(file, "the information of a LeRobot data set"):
+        with file.open("rb") as source:
+            about = json.loads(source.read(_LARGEST))
+        if not isinstance(about, dict) or not isinstance(about.get("features"), dict):
+            raise ValueError("it has no features")
+        return about
 
 
 def _is_table(path: Path) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from oracle_pipeline.logs.files import LogFormat, is_dataset, kind_of, tables_in
+from oracle_pipeline.logs.files import LogFormat, episodes, is_dataset, kind_of, tables_in
 from oracle_pipeline.logs.log import Log, LogError
 from oracle_pipeline.logs.recording import write_bag
 
@@ -31,8 +31,6 @@ class OpenedLog(NamedTuple):
 def logs_at(path: Path) -> Iterator[Path] | None:
     """Return the recordings that a path is or directly holds as logs; None if there is none."""
     if path.is_dir() and is_dataset(path):
-        from oracle_pipeline.logs.lerobot import episodes
-
         return episodes(path)
     if path.is_dir() and tables_in(path):
         from oracle_pipeline.logs.tables import is_folder_of_topics

@@ -1,7 +1,5 @@
 """LeRobot data sets of versions 2 and 3: each episode is a recording."""
 
-import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,16 +7,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from oracle_pipeline.logs.files import EPISODE, INFORMATION
+from oracle_pipeline.logs.files import EPISODE, information
 from oracle_pipeline.logs.log import Log, LogError, LogTopic, reading
-
-_LARGEST = 16 * 2**20  # bytes of the information
-
-
-def episodes(dataset: Path) -> Iterator[Path]:
-    """Yield the paths that name the episodes of a data set."""
-    for number in range(int(_information(dataset).get("total_episodes", 0))):
-        yield dataset / f"{EPISODE}{number:06d}"
 
 
 def read_episode(path: Path) -> Log:
@@ -36,7 +26,7 @@ def read_episode(path: Path) -> Log:
         If the data set is damaged, or has no such episode.
     """
     dataset = path.parent
-    about = _information(dataset)
+    about = information(dataset)
     text = path.name.removeprefix(EPISODE)
     if not text.isdecimal():
         raise LogError(f"{path} is no episode; their names are like {EPISODE}000003.")
@@ -58,16 +48,6 @@ def read_episode(path: Path) -> Log:
     if not log.topics:
         raise LogError(f"{path} has no feature of numbers.")
     return log
-
-
-def _information(dataset: Path) -> dict[str, Any]:
-    file = dataset / INFORMATION
-    with reading(file, "the information of a LeRobot data set"):
-        with file.open("rb") as source:
-            about = json.loads(source.read(_LARGEST))
-        if not isinstance(about, dict) or not isinstance(about.get("features"), dict):
-            raise ValueError("it has no features")
-        return about
 
 
 def _rows(dataset: Path, episode: int) -> pa.Table:

@@ -12,9 +12,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from sklearn.pipeline import Pipeline
-from threadpoolctl import threadpool_limits
 
-from oracle_pipeline.detectors import BeyondRange, LargestGroup, SignalScaler, explain
+from oracle_pipeline.detectors import (
+    BeyondRange,
+    LargestGroup,
+    SignalScaler,
+    explain,
+    single_threaded,
+)
 from oracle_pipeline.scoring.alarms import RATE_PER_H, NormalWindows
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
@@ -130,7 +135,7 @@ def _check_scores(scorer: CrossConformalScorer, runs: pd.DataFrame) -> None:
     windows = _far(design.window_columns).assign(window_start_s=0.0)
     of_runs = pd.DataFrame({"run_id": runs["run_id"]})  # the card has no features of their windows
     seen = MeasuredRuns.ordered(table, pd.concat([of_runs, windows], ignore_index=True))
-    with threadpool_limits(1, user_api="blas"):
+    with single_threaded():
         scores = np.stack([of_fold.score(seen) for of_fold in scorer.scorers_])
         alarms = scorer.window_scores(windows) if scorer.windows_ is not None else np.empty(0)
     _require(bool(np.isfinite(scores).all()), "a score is not a finite number")

@@ -1,6 +1,5 @@
 """Learns reference cards from normal runs, one for each kind of system in a reference."""
 
-import functools
 import itertools
 from collections import Counter
 from collections.abc import Collection, Sequence
@@ -11,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from threadpoolctl import ThreadpoolController
 
 from oracle_pipeline import datasets
-from oracle_pipeline.detectors import DEFAULT_DETECTOR, named_detector, panel
+from oracle_pipeline.detectors import Mahalanobis, named_detector, single_threaded
 from oracle_pipeline.features import FeatureManager
 from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.roles_file import RoleChoices
@@ -128,14 +126,8 @@ def learned_scorer(
     scorer_design = design(normal, features)
     if detector:
         scorer_design = _of_detector(scorer_design, detector)
-    # Threads are slower on matrices this small.
-    with _libraries().limit(limits=1, user_api="blas"):
+    with single_threaded():
         return CrossConformalScorer(scorer_design).fit(normal, np.random.default_rng(SEED))
-
-
-@functools.cache
-def _libraries() -> ThreadpoolController:
-    return ThreadpoolController()
 
 
 def design(runs: MeasuredRuns, features: str = "all") -> run_scorer.Design:
@@ -145,7 +137,7 @@ def design(runs: MeasuredRuns, features: str = "all") -> run_scorer.Design:
         raise ScoringError("The normal runs have no feature with a value; extract them again.")
     of_windows = set(datasets.feature_columns(runs.windows))
     of_features = run_scorer.Design(
-        panel(SEED)[DEFAULT_DETECTOR],
+        Mahalanobis(),
         tuple(columns),
         tuple(column for column in columns if column in of_windows),
         datasets.feature_floors(runs.features),
