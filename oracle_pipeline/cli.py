@@ -194,19 +194,16 @@ def _computed(
     if len(recordings) == 1:
         return work(recordings[0]), []
     from oracle_pipeline.features import together
-    from oracle_pipeline.scoring.isolation import WIDE_LIMITS, in_order, run_isolated
+    from oracle_pipeline.scoring.isolation import WIDE_LIMITS, isolated_each
 
-    def computed(recording: tuple[int, Path]) -> "RecordingFeatures | OracleError | OSError":
-        number, path = recording
-        try:
-            return run_isolated(work, path, WIDE_LIMITS).among_others(path, number)
-        except (OracleError, OSError) as error:
-            return error
-
-    each = in_order(computed, list(enumerate(recordings)))
+    each = isolated_each([(work, path) for path in recordings], WIDE_LIMITS)
     found = list(progress_bar(each, unit="recording", total=len(recordings), desc="features"))
-    errors = [str(one) for one in found if isinstance(one, Exception)]
-    measured = [one for one in found if not isinstance(one, Exception)]
+    errors = [str(one) for one in found if isinstance(one, OracleError)]
+    measured = [
+        one.among_others(path, number)
+        for number, (path, one) in enumerate(zip(recordings, found, strict=True))
+        if not isinstance(one, OracleError)
+    ]
     if not measured:
         raise OracleError("\n".join(errors))
     return together(measured), errors

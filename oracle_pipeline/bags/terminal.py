@@ -98,7 +98,10 @@ def progress_bar(
     """
     from tqdm import tqdm  # not every command has a bar
 
-    return tqdm(
+    class Bar(tqdm):  # type: ignore[type-arg]
+        monitor_interval = 0  # no thread, so that this process can be forked
+
+    return Bar(
         items, desc=printable(desc), total=total, leave=leave, unit=unit, dynamic_ncols=True,
         file=getattr(sys.stderr, "_wrapped", sys.stderr), disable=None,
     )  # fmt: skip

@@ -45,18 +45,17 @@ def check(
     from oracle_pipeline.checks import texts
     from oracle_pipeline.checks.run import check_recording
     from oracle_pipeline.datasets import replacing
-    from oracle_pipeline.scoring.isolation import WIDE_LIMITS, in_order, run_isolated
+    from oracle_pipeline.scoring.isolation import WIDE_LIMITS, isolated_each
 
     work = partial(check_recording, strict=strict)
-
-    def checked(path: Path) -> texts.Checked:
-        try:
-            return texts.Checked(str(path), run_isolated(work, path, WIDE_LIMITS))
-        except (OracleError, OSError) as error:
-            return texts.Checked(str(path), error=str(error))
-
-    found = in_order(checked, recordings)
-    results = list(progress_bar(found, unit="recording", total=len(recordings), desc="check"))
+    found = isolated_each([(work, path) for path in recordings], WIDE_LIMITS)
+    bar = progress_bar(found, unit="recording", total=len(recordings), desc="check")
+    results = [
+        texts.Checked(str(path), error=str(faults))
+        if isinstance(faults, OracleError)
+        else texts.Checked(str(path), faults)
+        for path, faults in zip(recordings, bar, strict=True)
+    ]
     click.echo(texts.as_json(results) if file_format == "json" else texts.as_text(results))
     if junit is not None:
         with replacing(junit) as sink:

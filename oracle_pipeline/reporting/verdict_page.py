@@ -24,7 +24,7 @@ from oracle_pipeline.reporting.signal_plots import (
 )
 from oracle_pipeline.reporting.templating import png_uri, template
 from oracle_pipeline.scoring import output
-from oracle_pipeline.scoring.isolation import Limits, in_order, run_isolated
+from oracle_pipeline.scoring.isolation import Limits, isolated_each
 from oracle_pipeline.scoring.sentences import headline
 from oracle_pipeline.scoring.verdict import Judgement, Verdict
 
@@ -95,21 +95,20 @@ def write(
     odd = [verdict for verdict in verdicts if verdict.outcome not in ("normal", "error")]
     filmed = odd[:MOST_FILMS]
 
-    def film(verdict: Verdict) -> Sequence[tuple[float, bytes]] | OracleError:
-        if verdict.outcome == "error":
-            return ()
-        drawn = partial(draw, number=FRAMES if verdict in filmed else 1)
-        try:
-            return run_isolated(drawn, Path(verdict.recording), limits)
-        except OracleError as error:
-            return error
-
+    films = isolated_each(
+        [
+            (partial(draw, number=FRAMES if verdict in filmed else 1), Path(verdict.recording))
+            for verdict in verdicts
+            if verdict.outcome != "error"
+        ],
+        limits,
+    )
     page = template("verdicts.html.j2").render(
         headline=headline,
         tally=output.tally(verdicts),
         judged=[
-            _shown(verdict, far, frames)
-            for verdict, frames in zip(verdicts, in_order(film, verdicts), strict=True)
+            _shown(verdict, far, () if verdict.outcome == "error" else next(films))
+            for verdict in verdicts
         ],
         script=script,
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),

@@ -135,6 +135,7 @@ def _check_scores(scorer: CrossConformalScorer, runs: pd.DataFrame) -> None:
     windows = _far(design.window_columns).assign(window_start_s=0.0)
     of_runs = pd.DataFrame({"run_id": runs["run_id"]})  # the card has no features of their windows
     seen = MeasuredRuns.ordered(table, pd.concat([of_runs, windows], ignore_index=True))
+    seen = seen.with_columns(design.run_columns, design.window_columns)
     with single_threaded():
         scores = np.stack([of_fold.score(seen) for of_fold in scorer.scorers_])
         alarms = scorer.window_scores(windows) if scorer.windows_ is not None else np.empty(0)

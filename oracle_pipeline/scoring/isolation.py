@@ -1,23 +1,24 @@
 """Runs the work on one recording or card in a separate process, with limits on time and memory.
 
 If a recording crashes its process, the other recordings of a suite still get their verdicts.
-Processes are forked from a server that has all modules imported.
+Processes are forks, so that all modules are imported: of this process, or of a server if this one
+has threads.
 """
 
+import importlib
 import multiprocessing
 import os
 import resource
 import signal
 import sys
 import threading
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from multiprocessing.connection import Connection
-from multiprocessing.context import ForkServerContext
-from multiprocessing.process import BaseProcess
+from itertools import islice
+from multiprocessing import connection
+from multiprocessing.context import ForkContext, ForkServerContext
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
@@ -38,13 +39,14 @@ from oracle_pipeline.scoring.blocks import Origin, origin_of
 from oracle_pipeline.scoring.contract import Observation, Observer
 
 T = TypeVar("T")
-J = TypeVar("J")
-R = TypeVar("R")
+#: A function on the recording at a path, and that path; both go to another process.
+Job: TypeAlias = tuple[Callable[[Path], T], Path]
 #: Returns sentences on a recording whose messages it gets, and a collector that has seen them.
 Check: TypeAlias = Callable[[KeptMessages, SignalCollector], Sequence[str]]
 
 MOST_AT_ONCE = 8  # processes, each of which may take gibibytes
 _GIB = 2**30
+_WARM = "oracle_pipeline.features.warm_start"
 _STARTING = threading.Lock()  # while a process is started, this one has no program
 
 
@@ -137,36 +139,15 @@ def extract_each(
     limits: Limits = DEFAULT_LIMITS,
     reading: Reading = Reading(),  # noqa: B008 -- immutable
     desc: str = "",
-) -> Iterator[tuple[Path, list[Extracted] | OracleError | OSError]]:
+) -> Iterator[tuple[Path, list[Extracted] | OracleError]]:
     """Yield the features of recordings, or what is wrong with one, with a bar on the terminal.
 
     Parameters are those of `extract_isolated`.
     """
-
-    def extract_or_tell(path: Path) -> list[Extracted] | OracleError | OSError:
-        try:
-            return extract_isolated(path, manager, limits, reading)
-        except (OracleError, OSError) as error:
-            return error
-
-    found = in_order(extract_or_tell, paths)
+    work = partial(extracted, plugins=manager.folder, reading=reading)
+    found = isolated_each([(work, path) for path in paths], limits)
     bar = progress_bar(found, unit="recording", total=len(paths), desc=desc)
     yield from zip(paths, bar, strict=True)
-
-
-def in_order(function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[R]:
-    """Yield the results of a function that waits for a process, for a few jobs at once."""
-    at_once = min(os.cpu_count() or 1, MOST_AT_ONCE)
-    pool, begun = ThreadPoolExecutor(at_once), deque[Future[R]]()
-    try:
-        for job in jobs:
-            begun.append(pool.submit(function, job))
-            if len(begun) > 2 * at_once:  # results of others may wait in memory
-                yield begun.popleft().result()
-        while begun:
-            yield begun.popleft().result()
-    finally:  # after an interrupt, nothing more begins
-        pool.shutdown(cancel_futures=True)
 
 
 def extracted(
@@ -236,42 +217,87 @@ def run_isolated(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT
     OracleError
         If the function raised anything, or the process died or exceeded the limits.
     """
-    context = _context(getattr(work, "func", work).__module__)
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(sender, work, path, limits), daemon=True)
-    with _STARTING, no_program():
-        process.start()
-    sender.close()  # so that the pipe closes when the process ends
-    try:
-        answer: T | OracleError = _received(receiver, process, path, limits)
-    finally:
-        process.kill()
-        process.join()
-        receiver.close()
+    (answer,) = isolated_each([(work, path)], limits)
     if isinstance(answer, OracleError):
         raise answer
     return answer
 
 
-def _received(receiver: Connection, process: BaseProcess, path: Path, limits: Limits) -> Any:
-    if not receiver.poll(limits.seconds):
-        raise BagError(
-            f"{path} took longer than the limit of {limits.seconds:g} s; "
-            f"{limits.advice('--time-limit')}."
-        )
+def isolated_each(
+    jobs: Sequence[Job[T]], limits: Limits = DEFAULT_LIMITS
+) -> Iterator[T | OracleError]:
+    """Yield what `run_isolated` returns or raises for each job in turn, a few at once."""
+    at_once = min(os.cpu_count() or 1, MOST_AT_ONCE)
+    waiting, running, done = enumerate(jobs), dict[int, _Process](), dict[int, T | OracleError]()
     try:
-        return receiver.recv()
-    except EOFError:
-        process.join()
-        raise BagError(
-            f"The process that read {path} died ({_exit_reason(process.exitcode)}); perhaps it ran "
-            "out of memory. Please report the file."
-        ) from None
+        for number in range(len(jobs)):
+            while number not in done:  # results of others may wait in memory
+                begun = max(0, min(at_once - len(running), 2 * at_once - len(done)))
+                for n, (work, path) in islice(waiting, begun):
+                    running[n] = _Process(work, path, limits, warm=len(jobs) > 1)
+                for n in _ended(running):
+                    done[n] = running.pop(n).answer()
+            yield done.pop(number)
+    finally:
+        for process in running.values():
+            process.end()
 
 
-def _work(sender: Connection, work: Callable[[Path], object], path: Path, limits: Limits) -> None:
+class _Process:
+    """A process that works on one recording, and the pipe of its answer."""
+
+    def __init__(
+        self, work: Callable[[Path], object], path: Path, limits: Limits, *, warm: bool
+    ) -> None:
+        context = _context(getattr(work, "func", work).__module__, warm=warm)
+        self.pipe, sender = context.Pipe(duplex=False)
+        self.deadline_s = time.monotonic() + limits.seconds
+        self._path, self._limits = path, limits
+        arguments = (sender, work, path, limits)
+        self._process = context.Process(target=_work, args=arguments, daemon=True)
+        with _STARTING, no_program():
+            self._process.start()
+        sender.close()  # so that the pipe closes when the process ends
+
+    def answer(self) -> Any:
+        """Return its answer, or an error if there is none by now, and end it."""
+        try:
+            if self.pipe.poll():
+                return self.pipe.recv()
+            return BagError(
+                f"{self._path} took longer than the limit of {self._limits.seconds:g} s; "
+                f"{self._limits.advice('--time-limit')}."
+            )
+        except EOFError:
+            self._process.join()
+            return BagError(
+                f"The process that read {self._path} died "
+                f"({_exit_reason(self._process.exitcode)}); perhaps it ran out of memory. "
+                "Please report the file."
+            )
+        finally:
+            self.end()
+
+    def end(self) -> None:
+        """End it at once."""
+        self._process.kill()
+        self._process.join()
+        self.pipe.close()
+
+
+def _ended(running: Mapping[int, _Process]) -> list[int]:
+    """Wait for a process that answers, dies or exceeds its time; return the numbers of these."""
+    first_s = min(process.deadline_s for process in running.values()) - time.monotonic()
+    ready = connection.wait([each.pipe for each in running.values()], max(0.0, first_s))
+    now_s = time.monotonic()
+    return [n for n, each in running.items() if each.pipe in ready or now_s >= each.deadline_s]
+
+
+def _work(
+    sender: connection.Connection, work: Callable[[Path], object], path: Path, limits: Limits
+) -> None:
     """Work in the other process, and send the result."""
-    size = int(limits.gibibytes * _GIB)
+    size = _memory() + int(limits.gibibytes * _GIB)
     resource.setrlimit(resource.RLIMIT_DATA, (size, size))
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it without a traceback
     os.environ.pop(FOLDER_VARIABLE, None)  # the server may have an outdated value
@@ -291,12 +317,30 @@ def _work(sender: Connection, work: Callable[[Path], object], path: Path, limits
     sender.close()
 
 
+def _memory() -> int:
+    """Return the bytes that this process has taken over, as its limit counts them."""
+    table = Path("/proc/self/statm")
+    return int(table.read_text().split()[5]) * resource.getpagesize() if table.exists() else 0
+
+
+def _context(module: str, *, warm: bool) -> ForkContext | ForkServerContext:
+    """Return how a process begins that needs a module: as a fork of this one, or of a server.
+
+    This process may only be forked while no other thread of it can hold a lock.
+    """
+    if sys.platform != "linux" or len(sys._current_frames()) > 1:  # of all threads
+        return _server(module)
+    if warm:
+        importlib.import_module(_WARM)
+    return multiprocessing.get_context("fork")
+
+
 @cache
-def _context(module: str) -> ForkServerContext:
+def _server(module: str) -> ForkServerContext:
     """Return the context; its server, if it does not run yet, imports what the module needs."""
     context = multiprocessing.get_context("forkserver")
     first = [FINDS_OURS] if FINDS_OURS in sys.modules else []  # as it is in this process
-    context.set_forkserver_preload([*first, module, "oracle_pipeline.features.warm_start"])
+    context.set_forkserver_preload([*first, module, _WARM])
     return context
 
 

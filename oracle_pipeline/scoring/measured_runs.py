@@ -53,7 +53,7 @@ class MeasuredRuns:
         """
         keys = [column for column in self.features.columns if "." not in column]
         return MeasuredRuns(
-            self.features[[*keys, *of_runs]], self.windows[list(of_windows)], self.run
+            _chosen(self.features, [*keys, *of_runs]), _chosen(self.windows, of_windows), self.run
         )
 
     def where(self, chosen: NDArray[np.bool_]) -> "MeasuredRuns":
@@ -118,6 +118,12 @@ def require_runs(features: pd.DataFrame, table: pd.DataFrame, name: str) -> None
             f"{len(absent)} runs, {absent[0]} the first, are not in the {name} table; "
             "materialize all tables again from the same runs."
         )
+
+
+def _chosen(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
+    chosen = table[list(columns)]
+    chosen.columns = pd.Index(columns, dtype=object)  # Arrow makes strings anew for each look
+    return chosen
 
 
 def _concat(table: pd.DataFrame, others: pd.DataFrame) -> pd.DataFrame:

@@ -1,10 +1,11 @@
 """A recording that crashes its process loses only its own verdict."""
 
+import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
-from threading import Barrier
 
 import numpy as np
 import pytest
@@ -13,7 +14,13 @@ from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.features.statistics.reduction import quantile_of
-from oracle_pipeline.scoring.isolation import Limits, extract_each, extract_isolated, in_order
+from oracle_pipeline.scoring.isolation import (
+    Limits,
+    extract_each,
+    extract_isolated,
+    isolated_each,
+    run_isolated,
+)
 from tests.oracle_pipeline.bags.conftest import STRING, text
 
 PLUGIN = """
@@ -76,15 +83,45 @@ def test_recordings_are_read_at_once_and_come_in_order_with_what_is_wrong(bag, t
     assert sys.modules["__main__"] is program
 
 
-def test_jobs_run_at_once_and_their_results_come_in_order(monkeypatch):
+def test_jobs_run_at_once_and_their_results_come_in_order(monkeypatch, tmp_path):
     monkeypatch.setattr("os.cpu_count", lambda: 2)
-    two = Barrier(2, timeout=60.0)
+    paths = [tmp_path / str(number) for number in range(6)]
+    assert list(isolated_each([(meet, path) for path in paths])) == [path.name for path in paths]
 
-    def job(number):
-        two.wait()
-        return number
 
-    assert list(in_order(job, range(20))) == list(range(20))
+def meet(path):
+    """Return the name of a path when the other one of its pair exists; later for the first."""
+    path.touch()
+    other = path.with_name(str(int(path.name) ^ 1))
+    while not other.exists():
+        time.sleep(0.01)
+    time.sleep(0.1 * (int(path.name) % 2 == 0))
+    return path.name
+
+
+@pytest.mark.parametrize("threads", [False, True], ids=["a fork of this", "a fork of a server"])
+def test_a_process_is_a_fork_of_one_without_other_threads(threads, tmp_path):
+    """A fork of a process with threads might wait for ever for a lock that one of them holds."""
+    code = (
+        "import os, threading; from pathlib import Path; "
+        "from tests.oracle_pipeline.scoring.test_isolation import parent; "
+        "from oracle_pipeline.scoring.isolation import run_isolated\n"
+        f"other = threading.Thread(target=threading.Event().wait, daemon=True)\n"
+        f"{threads} and other.start()\n"
+        "print(run_isolated(parent, Path()) == os.getpid())"
+    )
+    assert printed(code) == f"{not threads}\n"
+
+
+def parent(_: Path) -> int:
+    return os.getppid()
+
+
+def test_memory_that_a_process_takes_over_does_not_count(bag, tmp_path):
+    held = bytearray(300 * 2**20)
+    limits = Limits(gibibytes=0.25)
+    assert run_isolated(parent, bag, limits)
+    assert len(held) == 300 * 2**20
 
 
 def test_memory_of_a_process_is_limited(bag, tmp_path):
@@ -98,15 +135,20 @@ def test_a_process_begins_with_the_machine_code_that_its_recording_needs(bag):
     """Otherwise a suite of many short recordings takes twice as long."""
     quantile_of(np.arange(3.0), 0.5)  # from now on, its machine code is on disk
     code = (
-        "import sys; from pathlib import Path; from tests.oracle_pipeline.scoring.test_isolation "
-        "import loaded; from oracle_pipeline.scoring.isolation import run_isolated\n"
-        f"print(run_isolated(loaded, Path({str(bag)!r})))"
+        "from pathlib import Path; from tests.oracle_pipeline.scoring.test_isolation "
+        "import loaded; from oracle_pipeline.scoring.isolation import isolated_each\n"
+        f"print(*isolated_each([(loaded, Path({str(bag)!r}))] * 2))"
     )
+    assert printed(code) == "True True\n"
+
+
+def printed(code: str) -> str:
+    """Return what a program prints that knows the tests."""
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=Path(__file__).parents[3], capture_output=True, text=True,
         check=True,
     )  # fmt: skip
-    assert done.stdout == "True\n"
+    return done.stdout
 
 
 def loaded(_: Path) -> bool:
