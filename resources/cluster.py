@@ -6,20 +6,27 @@ import and one argument, so a worker needs this package and no Dagster.
 
 import concurrent.futures
 import itertools
+import logging
+import os
 import secrets
+import threading
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ThreadPoolExecutor
 from functools import partial
 from typing import Any, TypeVar
 
 import distributed
 
 from oracle_pipeline.bags.errors import OracleError
+from sim.worker_pool import JobTimeoutError, limit_from_environment
 
 R = TypeVar("R")
 
 PATIENCE_S = 60  # timeout for the scheduler, and for the first worker
 LOST_S = 600  # the same, once they were there: until somebody has started them again
+LAST_WORDS_S = 2.0  # in which a worker that is about to end reports why
+
+_LOG = logging.getLogger("distributed.worker")  # of a worker; its settings are Dask's
 
 
 class ClusterError(OracleError):
@@ -67,6 +74,7 @@ class DaskExecutor(Executor):
         # Unique keys, so that equal calls are all executed, of one group, so that the scheduler
         # queues jobs until a worker is free. A worker that dies then takes few jobs with it.
         self._group, self._numbers = secrets.token_hex(8), itertools.count()
+        self._limit_s = limit_from_environment()
         # Keep references: the cluster drops results without any.
         self._remote: dict[Future[Any], distributed.Future[Any]] = {}
 
@@ -74,7 +82,7 @@ class DaskExecutor(Executor):
         """Submit a call to the cluster."""
         key = (f"{getattr(fn, '__name__', 'job')}-{self._group}", next(self._numbers))
         local: Future[R] = Future()
-        remote = self._client.submit(fn, *args, key=key, **kwargs)
+        remote = self._client.submit(_in_time, self._limit_s, fn, *args, key=key, **kwargs)
         self._remote[local] = remote
         local.set_running_or_notify_cancel()
         remote.add_done_callback(partial(self._resolve, local))
@@ -97,3 +105,22 @@ class DaskExecutor(Executor):
         if wait and not cancel_futures:
             concurrent.futures.wait(list(self._remote))
         self._client.close()
+
+
+def _in_time(limit_s: float, function: Callable[..., R], *args: Any, **kwargs: Any) -> R:
+    """Call a function on a worker, and log it with its arguments.
+
+    No thread can be stopped, so a worker whose job exceeds its time limit ends. Its nanny, or
+    Kubernetes, starts another one.
+    """
+    job = ", ".join(map(str, args))
+    _LOG.info("Begin: %s", job)
+    pool = ThreadPoolExecutor(1)
+    future = pool.submit(function, *args, **kwargs)
+    pool.shutdown(wait=False)
+    if not concurrent.futures.wait([future], limit_s).done:
+        _LOG.error("Exceeded the limit of %g s: %s", limit_s, job)
+        threading.Timer(LAST_WORDS_S, os._exit, [1]).start()
+        raise JobTimeoutError.after(limit_s)
+    _LOG.info("End: %s", job)
+    return future.result()

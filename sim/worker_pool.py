@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from functools import partial
 from multiprocessing.connection import Connection
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.processes import FINDS_OURS, no_program
@@ -33,6 +33,14 @@ _END_TIMEOUT_S = 10.0  # of an idle worker
 
 class JobTimeoutError(OracleError):
     """A job exceeded its time limit, and its worker was ended."""
+
+    @classmethod
+    def after(cls, limit_s: float) -> Self:
+        """Return the error for a limit."""
+        return cls(
+            f"It exceeded the limit of {limit_s:g} s, so its worker was ended. If it needs longer, "
+            f"increase {LIMIT}."
+        )
 
 
 class WorkerDied(BrokenExecutor):
@@ -152,10 +160,7 @@ class _Worker:
             self._pipe.send(job)
             if not self._pipe.poll(limit_s):
                 self._end()
-                raise JobTimeoutError(
-                    f"It exceeded the limit of {limit_s:g} s, so its worker was ended. If it "
-                    f"needs longer, increase {LIMIT}."
-                )
+                raise JobTimeoutError.after(limit_s)
             is_done, result = self._pipe.recv()
         except (EOFError, ConnectionError) as error:
             self._end()

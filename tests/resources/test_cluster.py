@@ -38,6 +38,13 @@ def rest(x: int) -> int:
     return x
 
 
+def hang_once(folder: Path, x: int) -> int:
+    if x == 1 and not (folder / "hung").exists():
+        (folder / "hung").touch()
+        time.sleep(600.0)
+    return x
+
+
 def note(place: Path) -> None:
     with place.open("a") as notes:
         notes.write("done\n")
@@ -71,6 +78,21 @@ def test_a_job_that_kills_workers_is_abandoned_with_an_error(fleet: Fleet) -> No
     outcomes = {o.job: o for o in fleet.outcomes(die, range(3))}
     assert {job: o.result for job, o in outcomes.items()} == {0: 0, 1: None, 2: 2}
     assert "worker process died" in str(outcomes[1].error)
+
+
+def test_a_job_that_hangs_ends_its_worker_and_the_log_names_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("ORACLE_JOB_TIMEOUT", "2")
+    with dask_cluster(tmp_path, workers=1) as address:
+        outcomes = {o.job: o for o in Fleet(address=address).outcomes(
+            partial(hang_once, tmp_path), range(4))}  # fmt: skip
+    assert {job: o.result for job, o in outcomes.items()} == {0: 0, 1: None, 2: 2, 3: 3}
+    assert "limit of 2 s" in str(outcomes[1].error)
+    assert "ORACLE_JOB_TIMEOUT" in str(outcomes[1].error)
+    log = (tmp_path / "workers.log").read_text(encoding="utf-8")
+    assert "Begin: 1" in log
+    assert "limit of 2 s: 1" in log
 
 
 def test_jobs_of_a_lost_scheduler_are_done_once_it_is_started_again(tmp_path: Path) -> None:
