@@ -53,7 +53,7 @@ $(VENV)/.compiled: $(VENV)/.ready
 
 # With what running needs, so that it is installed at once where there is nothing yet.
 $(VENV)/.ready-dev: pyproject.toml constraints.txt | $(BIN)/python
-	$(INSTALL) '.[dask,dev,dg,docs,live,logs,mcp,postgres,s3,search,zenoh]'
+	$(INSTALL) '.[dask,dev,dg,docs,kubernetes,live,logs,mcp,postgres,s3,search,zenoh]'
 	@touch $(VENV)/.ready $@
 
 demo: setup ## Record a normal and an attacked run, and judge both by the shipped reference card
@@ -145,7 +145,7 @@ constraints: $(VENV)/.ready-dev ## Pin the newest versions that fit pyproject.to
 
 requirements: $(VENV)/.ready-dev ## Write deploy/requirements.txt: what the image holds, with the hash of every file
 	$(PIN) --constraint constraints.txt --generate-hashes --allow-unsafe --build-deps-for wheel \
-		--extra dask --extra postgres --extra s3 --output-file deploy/requirements.txt pyproject.toml
+		--extra dask --extra kubernetes --extra postgres --extra s3 --output-file deploy/requirements.txt pyproject.toml
 
 image: requirements ## Build the image of deploy/ from files whose hashes are known
 	docker build $(if $(BASE),--build-arg BASE=$(BASE)) -f deploy/Containerfile -t ros2-behaviour-oracle .

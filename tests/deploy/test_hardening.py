@@ -107,7 +107,7 @@ def pods() -> Iterator[tuple[str, dict[str, Any], dict[str, Any], dict[str, Any]
         for document in documents(file):
             if document["kind"] == "Deployment":
                 spec = document["spec"]["template"]["spec"]
-                for container in spec["containers"]:
+                for container in (*spec.get("initContainers", ()), *spec["containers"]):
                     yield (container["name"], spec["securityContext"],
                            container["securityContext"], container["resources"])  # fmt: skip
 
