@@ -9,23 +9,13 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator
-from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
+from oracle_pipeline.bags import part
 from oracle_pipeline.bags.compression import decompress
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import LARGEST_CHUNK
 from oracle_pipeline.bags.mcap_checksums import check_summary
-from oracle_pipeline.bags.part import (
-    Batch,
-    Channel,
-    Extent,
-    add_channel,
-    measure,
-    ros2_name,
-    unpacked,
-    written_size,
-)
 from oracle_pipeline.bags.records import (
     MCAP_CHANNEL,
     MCAP_MESSAGE,
@@ -88,15 +78,8 @@ class Fields:
         return self.block().decode("utf-8", "replace")
 
 
-class McapPart:
+class McapPart(part.FilePart):
     """An MCAP file; a `Part`.
-
-    Parameters
-    ----------
-    file : Path
-        To read.
-    path : Path
-        Path for messages to the user: the same, or the compressed file that it came from.
 
     Raises
     ------
@@ -104,35 +87,20 @@ class McapPart:
         If it is corrupt; a truncated file is read up to its end.
     """
 
-    def __init__(self, file: Path, path: Path) -> None:
-        self.path = path
-        self.channels: dict[int, Channel] = {}
-        self.extent = Extent()
-        self.claims = True
-        self.cut, self.unread = "", 0
+    def _read_contents(self) -> None:
         self._schemas: dict[int, _Schema] = {}
         self._chunk_channels: dict[int, frozenset[int]] = {}  # by where the chunk begins
-        self._file: BinaryIO = file.open("rb")
-        try:
-            self._size = self._end = self._file.seek(0, 2)
-            summary = self._summary_start()
-            self._is_cut = summary is None
-            if self._is_cut:
-                self._end = written_size(self._file)
-            else:
-                self._check_summary()
-            if not (summary and self._read_summary(summary)):
-                self.channels, self._schemas, self._chunk_channels = {}, {}, {}
-                measure(self)
-        except BaseException:
-            self._file.close()
-            raise
+        summary = self._summary_start()
+        self._is_cut = summary is None
+        if self._is_cut:
+            self._end = part.written_size(self._file)
+        else:
+            self._check_summary()
+        if not (summary and self._read_summary(summary)):
+            self.channels, self._schemas, self._chunk_channels = {}, {}, {}
+            part.measure(self)
 
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def batches(self, wanted: Collection[int] | None = None) -> Iterator[Batch]:
+    def batches(self, wanted: Collection[int] | None = None) -> Iterator[part.Batch]:
         """Yield all messages; chunks without any of the wanted channels are skipped."""
         for data, at, is_chunk in self._stretches(wanted):
             end = 0
@@ -142,7 +110,7 @@ class McapPart:
                     begin += _HEAD.size
                     self._describe(opcode, data[begin : begin + length])
                 end = records.end
-                yield from unpacked(data, records)
+                yield from part.unpacked(data, records)
             if end != len(data) and not self._is_cut:
                 raise self._corrupt(f"a record in the chunk at byte {at} ends beyond the chunk")
 
@@ -264,11 +232,11 @@ class McapPart:
                 schema = self._schemas.get(fields.number(2), _Schema("", "", ""))
                 topic, encoding = fields.text(), fields.text()
                 more = _metadata(Fields(fields.block()))
-                channel = Channel(
-                    topic, ros2_name(schema.name), encoding, schema.text, schema.format,
+                channel = part.Channel(
+                    topic, part.ros2_name(schema.name), encoding, schema.text, schema.format,
                     more.get("topic_type_hash", ""), more.get("offered_qos_profiles", ""),
                 )  # fmt: skip
-                add_channel(self.channels, number, channel)
+                part.add_channel(self.channels, number, channel)
         except ValueError as error:
             raise self._corrupt(str(error)) from error
 
@@ -334,7 +302,7 @@ class McapPart:
         return (chunk, first, last), fields.number(8)
 
 
-def _extent(fields: Fields, spans: list[tuple[int, int, int]]) -> Extent:
+def _extent(fields: Fields, spans: list[tuple[int, int, int]]) -> part.Extent:
     messages = fields.number(8)
     fields.number(2)
     for _ in range(4):
@@ -349,7 +317,7 @@ def _extent(fields: Fields, spans: list[tuple[int, int, int]]) -> Extent:
     )
     if end_ns >= 2**63:  # nanoseconds: the year 2262
         raise ValueError("some stamps are beyond any recording")
-    return Extent(+counts, start_ns, end_ns, in_order) if messages else Extent()
+    return part.Extent(+counts, start_ns, end_ns, in_order) if messages else part.Extent()
 
 
 def _metadata(fields: Fields) -> dict[str, str]:

@@ -90,6 +90,39 @@ class Part(Protocol):
         ...
 
 
+class FilePart:
+    """A file of bytes that is open for reading; what parts of several formats share.
+
+    Parameters
+    ----------
+    file : Path
+        To read.
+    path : Path
+        Path for messages to the user: the same, or the compressed file that it came from.
+    """
+
+    def __init__(self, file: Path, path: Path) -> None:
+        self.path = path
+        self.channels: dict[int, Channel] = {}
+        self.extent, self.claims = Extent(), True
+        self.cut, self.unread = "", 0
+        self._file: BinaryIO = file.open("rb")
+        try:
+            self._size = self._end = self._file.seek(0, 2)
+            self._read_contents()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _read_contents(self) -> None:
+        """Read channels and extent."""
+        raise NotImplementedError
+
+
 def written_size(file: BinaryIO) -> int:
     """Return where an unfinished file ends, without the zeros that a full disk leaves behind.
 

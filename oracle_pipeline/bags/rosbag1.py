@@ -4,22 +4,12 @@ import itertools
 import struct
 from collections import Counter
 from collections.abc import Collection, Iterator
-from pathlib import Path
-from typing import BinaryIO, TypeAlias
+from typing import TypeAlias
 
+from oracle_pipeline.bags import part
 from oracle_pipeline.bags.compression import decompress
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import LARGEST_CHUNK, MOST_CHANNELS
-from oracle_pipeline.bags.part import (
-    Batch,
-    Channel,
-    Extent,
-    add_channel,
-    measure,
-    ros2_name,
-    unpacked,
-    written_size,
-)
 from oracle_pipeline.bags.records import MOST_AT_ONCE, complete_size, ros1_records
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -31,13 +21,8 @@ _MOST_CHUNKS = 10_000_000
 _Header: TypeAlias = dict[str, bytes]
 
 
-class Rosbag1Part:
+class Rosbag1Part(part.FilePart):
     """A ROS 1 bag; a `Part`.
-
-    Parameters
-    ----------
-    file, path : Path
-        File to read, and its path for messages to the user.
 
     Raises
     ------
@@ -45,30 +30,14 @@ class Rosbag1Part:
         If it is corrupt; a truncated file, or one without index, is read up to its end.
     """
 
-    def __init__(self, file: Path, path: Path) -> None:
-        self.path = path
-        self.channels: dict[int, Channel] = {}
-        self.extent = Extent()
-        self.claims = True
-        self.cut, self.unread = "", 0
-        self._file: BinaryIO = file.open("rb")
-        try:
-            self._size = self._file.seek(0, 2)
-            self._end = self._size
-            self._is_cut = not self._read_index()
-            if self._is_cut:
-                self.channels = {}
-                self._size = self._end = written_size(self._file)
-                measure(self)
-        except BaseException:
-            self._file.close()
-            raise
+    def _read_contents(self) -> None:
+        self._is_cut = not self._read_index()
+        if self._is_cut:
+            self.channels = {}
+            self._size = self._end = part.written_size(self._file)
+            part.measure(self)
 
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def batches(self, wanted: Collection[int] | None = None) -> Iterator[Batch]:  # noqa: ARG002 -- the channels of a chunk are not known
+    def batches(self, wanted: Collection[int] | None = None) -> Iterator[part.Batch]:  # noqa: ARG002 -- the channels of a chunk are not known
         """Yield all messages, chunk by chunk."""
         at = len(MAGIC)
         self.cut, self.unread = "", 0
@@ -97,14 +66,14 @@ class Rosbag1Part:
         if self._is_cut:
             self.cut = "it has no index"
 
-    def _batches(self, data: bytes, at: int, *, is_whole: bool) -> Iterator[Batch]:
+    def _batches(self, data: bytes, at: int, *, is_whole: bool) -> Iterator[part.Batch]:
         end = 0
         for records in ros1_records(data):
             for begin in records.described.tolist():
                 if not self._describe(data, begin) and not self._is_cut:
                     raise self._corrupt(f"a connection in the chunk at byte {at} is not described")
             end = records.end
-            yield from unpacked(data, records)
+            yield from part.unpacked(data, records)
         if is_whole and end != len(data):
             raise self._corrupt(f"a record in the chunk at byte {at} ends beyond the chunk")
 
@@ -164,12 +133,12 @@ class Rosbag1Part:
         about = _header(data[at + 4 : at + 4 + size])
         if header is None or about is None:
             return False
-        channel = Channel(
+        channel = part.Channel(
             header.get("topic", b"").decode("utf-8", "replace"),
-            ros2_name(about.get("type", b"").decode("utf-8", "replace")), "ros1",
+            part.ros2_name(about.get("type", b"").decode("utf-8", "replace")), "ros1",
             about.get("message_definition", b"").decode("utf-8", "replace"), "msg", "", "",
         )  # fmt: skip
-        add_channel(self.channels, _number(header, "conn"), channel)
+        part.add_channel(self.channels, _number(header, "conn"), channel)
         return True
 
     def _read_index(self) -> bool:
@@ -224,7 +193,7 @@ class Rosbag1Part:
             ends = itertools.pairwise(stamps)
             in_order = all(end <= begin for (_, end), (begin, _) in ends)
             firsts, lasts = zip(*stamps, strict=True)
-            self.extent = Extent(+counts, min(firsts), max(lasts), in_order)
+            self.extent = part.Extent(+counts, min(firsts), max(lasts), in_order)
 
 
 def _header(data: bytes) -> _Header | None:

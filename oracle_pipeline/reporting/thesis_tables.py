@@ -18,15 +18,7 @@ from oracle_pipeline.datasets import DatasetError
 from oracle_pipeline.evaluation.clustering_result import ClusteringResult, cluster_and_judge
 from oracle_pipeline.evaluation.comparisons import ALL_MODES
 from oracle_pipeline.evaluation.variants import CORRECTED, THESIS, FeatureSet, MethodVariant
-from oracle_pipeline.reporting.thesis_figures import (
-    FAMILIES,
-    GRID,
-    NO_FIGURE,
-    PAIRWISE,
-    RATES,
-    THRESHOLD,
-    ThesisFigure,
-)
+from oracle_pipeline.reporting import thesis_figures
 
 GRID_THRESHOLDS = (2.0, 4.0)
 FEATURE_SETS: tuple[FeatureSet, ...] = ("all", "structural", "contextual")
@@ -58,11 +50,11 @@ def grid_search_table(
     columns = variant.columns(rows, "all")
     table = []
     for method, criterion, t in product(LINKAGES, CRITERIA, thresholds):
-        is_printed = t == THRESHOLD[method]
+        is_printed = t == thesis_figures.THRESHOLD[method]
         if variant is THESIS and not is_printed:
             continue
         result = cluster_and_judge(rows, columns, rng, method, criterion, t, variant)
-        figure = GRID[method, criterion] if is_printed else None
+        figure = thesis_figures.GRID[method, criterion] if is_printed else None
         setting = {"linkage": method, "criterion": criterion, "t": t}
         table.append(setting | result.columns() | _thesis_columns(figure))
     return pd.DataFrame(table)
@@ -98,7 +90,11 @@ def malicious_rate_table(df: pd.DataFrame, drawn: Bootstraps) -> pd.DataFrame:
     table = []
     for rate in MALICIOUS_RATES:
         result = replace(drawn, malicious_rate=rate).result(df, "all")
-        table.append({"malicious_rate": rate} | result.columns() | _thesis_columns(RATES.get(rate)))
+        table.append(
+            {"malicious_rate": rate}
+            | result.columns()
+            | _thesis_columns(thesis_figures.RATES.get(rate))
+        )
     return pd.DataFrame(table)
 
 
@@ -108,7 +104,7 @@ def family_table(df: pd.DataFrame, drawn: Bootstraps) -> pd.DataFrame:
     for features in FEATURE_SETS:
         place = {"scope": ALL_MODES, "features": features}
         result = drawn.result(df, features)
-        table.append(place | result.columns() | _thesis_columns(FAMILIES[features]))
+        table.append(place | result.columns() | _thesis_columns(thesis_figures.FAMILIES[features]))
     return pd.DataFrame(table)
 
 
@@ -119,7 +115,7 @@ def pairwise_table(df: pd.DataFrame, drawn: Bootstraps) -> pd.DataFrame:
         pair = df[df["mode"].isin([control, attacked])]
         for features in FEATURE_SETS:
             place = {"scope": f"{control} / {attacked}", "features": features}
-            figure = PAIRWISE.get((attacked, features))
+            figure = thesis_figures.PAIRWISE.get((attacked, features))
             table.append(place | drawn.result(pair, features).columns() | _thesis_columns(figure))
     return pd.DataFrame(table)
 
@@ -184,7 +180,7 @@ def _grid_or_reason(df: pd.DataFrame, drawn: Bootstraps) -> pd.DataFrame:
         nothing = ClusteringResult(note=str(error)).columns()
         table = pd.DataFrame(
             {"linkage": method, "criterion": criterion} | nothing | figure.columns()
-            for (method, criterion), figure in GRID.items()
+            for (method, criterion), figure in thesis_figures.GRID.items()
         )
     else:
         table = grid_search_table(rows, drawn.rng, drawn.method)
@@ -200,5 +196,5 @@ def _renamed(table: pd.DataFrame, prefix: str, **estimates: str) -> pd.DataFrame
     return table[list(names)].rename(columns=names)
 
 
-def _thesis_columns(thesis: ThesisFigure | None) -> dict[str, float | str]:
-    return NO_FIGURE if thesis is None else thesis.columns()
+def _thesis_columns(thesis: thesis_figures.ThesisFigure | None) -> dict[str, float | str]:
+    return thesis_figures.NO_FIGURE if thesis is None else thesis.columns()

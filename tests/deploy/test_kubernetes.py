@@ -3,8 +3,8 @@
 import re
 from typing import Any
 
+import dagster as dg
 import pytest
-from dagster._config import process_config
 from dagster_k8s import K8sRunLauncher
 from dagster_k8s.models import k8s_model_from_dict, k8s_snake_case_dict
 from kubernetes import client
@@ -74,8 +74,15 @@ def test_each_run_is_a_pod_that_the_launcher_of_dagster_accepts() -> None:
         "instance_config_map": "oracle-dagster-instance",
         "run_k8s_config": of_runs,
     }
-    accepted = process_config(K8sRunLauncher.config_type(), config)
-    assert accepted.success, accepted.errors
+
+    @dg.op(config_schema=K8sRunLauncher.config_type())
+    def launch() -> None: ...
+
+    @dg.job
+    def runs() -> None:
+        launch()
+
+    assert dg.validate_run_config(runs, {"ops": {"launch": {"config": config}}})
     for part, model in (
         ("podSpecConfig", client.V1PodSpec),
         ("containerConfig", client.V1Container),

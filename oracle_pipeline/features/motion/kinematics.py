@@ -20,28 +20,7 @@ from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.features.geometry.scan_matching import Steps
 from oracle_pipeline.features.geometry.scanner_setup import scanner_setup
 from oracle_pipeline.features.geometry.scans import Bools, Floats, Points
-from oracle_pipeline.features.motion.ego_motion import (
-    ANGLES,
-    COMMAND,
-    GYRO,
-    JOINTS,
-    MOTION_TOPICS,
-    ORIENTATION,
-    PLACE,
-    POSE,
-    RATES,
-    SCAN,
-    SPAN_S,
-    SPIN,
-    TRAVEL,
-    TURN,
-    TWIST,
-    Motion,
-    MotionSources,
-    gain,
-    slope,
-    sources,
-)
+from oracle_pipeline.features.motion import ego_motion as ego
 from oracle_pipeline.features.statistics.reduction import (
     MAD_TO_DEVIATION,
     largest,
@@ -85,29 +64,29 @@ class Fit(NamedTuple):
 
 #: From the more exact source to the other: the second is explained by the first.
 PAIRS = (
-    Pair(TURN, POSE, TWIST),
-    Pair(TURN, POSE, GYRO),
-    Pair(TURN, POSE, ORIENTATION),
-    Pair(TURN, GYRO, ORIENTATION),
-    Pair(TURN, POSE, JOINTS),
-    Pair(TURN, GYRO, JOINTS),
-    Pair(TURN, POSE, SCAN),
-    Pair(TURN, GYRO, SCAN),
-    Pair(TURN, PLACE, POSE),
-    Pair(TURN, COMMAND, POSE),
-    Pair(TRAVEL, POSE, TWIST),
-    Pair(TRAVEL, POSE, JOINTS),
-    Pair(TRAVEL, POSE, SCAN),
-    Pair(TRAVEL, JOINTS, SCAN),
-    Pair(TRAVEL, PLACE, POSE),
-    Pair(TRAVEL, COMMAND, POSE),
-    Pair(SPIN, ANGLES, RATES),
+    Pair(ego.TURN, ego.POSE, ego.TWIST),
+    Pair(ego.TURN, ego.POSE, ego.GYRO),
+    Pair(ego.TURN, ego.POSE, ego.ORIENTATION),
+    Pair(ego.TURN, ego.GYRO, ego.ORIENTATION),
+    Pair(ego.TURN, ego.POSE, ego.JOINTS),
+    Pair(ego.TURN, ego.GYRO, ego.JOINTS),
+    Pair(ego.TURN, ego.POSE, ego.SCAN),
+    Pair(ego.TURN, ego.GYRO, ego.SCAN),
+    Pair(ego.TURN, ego.PLACE, ego.POSE),
+    Pair(ego.TURN, ego.COMMAND, ego.POSE),
+    Pair(ego.TRAVEL, ego.POSE, ego.TWIST),
+    Pair(ego.TRAVEL, ego.POSE, ego.JOINTS),
+    Pair(ego.TRAVEL, ego.POSE, ego.SCAN),
+    Pair(ego.TRAVEL, ego.JOINTS, ego.SCAN),
+    Pair(ego.TRAVEL, ego.PLACE, ego.POSE),
+    Pair(ego.TRAVEL, ego.COMMAND, ego.POSE),
+    Pair(ego.SPIN, ego.ANGLES, ego.RATES),
 )
 
-_DIRECTED = {Pair(TRAVEL, POSE, TWIST), Pair(TRAVEL, POSE, SCAN)}
-_UNITS = {TURN: "rad/s", TRAVEL: "m/s", SPIN: "rad/s"}
+_DIRECTED = {Pair(ego.TRAVEL, ego.POSE, ego.TWIST), Pair(ego.TRAVEL, ego.POSE, ego.SCAN)}
+_UNITS = {ego.TURN: "rad/s", ego.TRAVEL: "m/s", ego.SPIN: "rad/s"}
 _FEWEST = 8  # spans of a comparison
-_LEAST = {TURN: 0.5, TRAVEL: 0.3, SPIN: 3.0}  # total gain needed to estimate a scale
+_LEAST = {ego.TURN: 0.5, ego.TRAVEL: 0.3, ego.SPIN: 3.0}  # total gain needed to estimate a scale
 _OBEYED = 1.5  # times the least residual: limit for a command that the robot may obey
 _EXACT = 5e-3  # residual below which commands cannot be distinguished [unit/s]
 _NO_SCALE = 1e-3  # of a second source that does not follow the first
@@ -119,13 +98,13 @@ def _floors(pair: Pair) -> tuple[float, float, float, float]:
 
     A real robot obeys its commands within some per cent: it accelerates, and stops for people.
     """
-    if COMMAND in pair:
+    if ego.COMMAND in pair:
         return 0.05, 0.02, 0.05, 0.02
-    if PLACE in pair:
+    if ego.PLACE in pair:
         return 5e-3, 0.02, 0.02, 5e-3
-    if pair.quantity == SPIN:
+    if pair.quantity == ego.SPIN:
         return 2e-3, 0.02, 0.02, 5e-3
-    return (5e-3, 0.02, 2e-3, 5e-3) if SCAN in pair else (2e-3, 0.02, 2e-3, 1e-3)
+    return (5e-3, 0.02, 2e-3, 5e-3) if ego.SCAN in pair else (2e-3, 0.02, 2e-3, 1e-3)
 
 
 def _features() -> Iterator[fp.Feature]:
@@ -191,7 +170,7 @@ class _Prepared:
 
 def prepare(window: fp.Window) -> _Prepared | fp.Missing:
     """Compare every source with every other source of its quantity."""
-    found = sources(window.topics, scanner_setup(window))
+    found = ego.sources(window.topics, scanner_setup(window))
     pairs = {pair: dict(_compared(found, pair)) for pair in PAIRS}
     if not any(pairs.values()) and not found.gravity:
         return fp.Missing("fewer than two sources measure the robot's motion")
@@ -208,7 +187,7 @@ def compute(window: fp.Window) -> fp.Values:
             why = fp.Missing(f"no {pair.quantity} from both {pair.first} and {pair.second}")
             values |= {pair.column(statistic): why for statistic in pair.statistics}
             continue
-        if COMMAND in pair or PLACE in pair:
+        if ego.COMMAND in pair or ego.PLACE in pair:
             fits = _obeyed(fits)
         still = f"too little {pair.quantity} was measured in this window"
         for number, statistic in enumerate(pair.statistics):
@@ -297,7 +276,7 @@ def agreement(
     if gained < least or scale <= 0.0:
         return math.nan, math.nan, residual, drift, math.nan
     # The lag is a first-order approximation, invalid beyond the length of a span.
-    lag = lag if abs(lag) < SPAN_S else math.nan
+    lag = lag if abs(lag) < ego.SPAN_S else math.nan
     return math.log(scale), lag, residual, drift, math.atan2(direction.imag, direction.real)
 
 
@@ -306,22 +285,22 @@ def register_features() -> list[fp.FeaturePlugin]:
     """Offer the features of sources of motion."""
     return [
         fp.FeaturePlugin(
-            "kinematics", "kinematics", FEATURES, compute, MOTION_TOPICS, prepare=prepare
+            "kinematics", "kinematics", FEATURES, compute, ego.MOTION_TOPICS, prepare=prepare
         )
     ]
 
 
-def _compared(found: MotionSources, pair: Pair) -> Iterator[tuple[str, _PairedGains]]:
+def _compared(found: ego.MotionSources, pair: Pair) -> Iterator[tuple[str, _PairedGains]]:
     """Yield the gains of each two topics of a pair of kinds, by place."""
     for first in found.tracks[pair.first]:
         if pair.quantity not in first.gained:
             continue
-        if pair.second == SCAN:
-            seconds: Mapping[str, Motion | Steps] = found.steps
+        if pair.second == ego.SCAN:
+            seconds: Mapping[str, ego.Motion | Steps] = found.steps
         else:
             seconds = {track.topic: track for track in found.tracks[pair.second]}
         for topic, second in seconds.items():
-            if pair.quantity == SPIN and topic != first.topic:  # other joints
+            if pair.quantity == ego.SPIN and topic != first.topic:  # other joints
                 continue
             compared = _comparison(pair, first, second)
             if compared is not None and len(compared.times_s) >= _FEWEST:
@@ -329,26 +308,26 @@ def _compared(found: MotionSources, pair: Pair) -> Iterator[tuple[str, _PairedGa
                 yield place, compared
 
 
-def _comparison(pair: Pair, first: Motion, second: Motion | Steps) -> _PairedGains | None:
+def _comparison(pair: Pair, first: ego.Motion, second: ego.Motion | Steps) -> _PairedGains | None:
     quantity = pair.quantity
     if isinstance(second, Steps):
         from_s, to_s = second.from_s, second.to_s
         turned = np.asarray(second.turned, dtype=np.complex128)
-        gained = turned if quantity == TURN else second.travelled
+        gained = turned if quantity == ego.TURN else second.travelled
     elif quantity not in second.gained:
         return None
     else:
         # Spans are independent of the start of the recording.
-        begin = math.ceil(max(first.stamps_s[0], second.stamps_s[0]) / SPAN_S) * SPAN_S
+        begin = math.ceil(max(first.stamps_s[0], second.stamps_s[0]) / ego.SPAN_S) * ego.SPAN_S
         end_s = min(first.stamps_s[-1], second.stamps_s[-1])
-        from_s, to_s = even_spans(begin, end_s, SPAN_S, first.stamps_s, second.stamps_s)
-        gained = gain(second, quantity, from_s, to_s)
-    ours = gain(first, quantity, from_s, to_s)
-    slopes = slope(first, quantity, from_s, to_s)
+        from_s, to_s = even_spans(begin, end_s, ego.SPAN_S, first.stamps_s, second.stamps_s)
+        gained = ego.gain(second, quantity, from_s, to_s)
+    ours = ego.gain(first, quantity, from_s, to_s)
+    slopes = ego.slope(first, quantity, from_s, to_s)
     known = np.isfinite(ours) & np.isfinite(gained) & np.isfinite(slopes)
     times_s = np.interp(to_s, first.stamps_s, first.times_s)
     ours, slopes, gained = ours[known], slopes[known], gained[known]
-    scale = fit(ours, slopes, gained)[0] if pair.second == JOINTS else 1.0
+    scale = fit(ours, slopes, gained)[0] if pair.second == ego.JOINTS else 1.0
     unit = 1.0 / abs(scale) if abs(scale) > _NO_SCALE else 1.0
     return _PairedGains(times_s[known], (to_s - from_s)[known], ours, slopes, gained, unit)
 
