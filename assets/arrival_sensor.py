@@ -1,79 +1,90 @@
 """The sensor that judges recordings as they arrive in a folder.
 
 A tick only compares names and sizes. The job that it requests is in ``assets.foreign_recordings``.
+While a batch of recordings is judged, the next one gathers: so batches are as large as the
+recordings come fast.
 """
 
 import json
 import time
-from collections.abc import Collection, Iterable
 from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Self
 
 import dagster as dg
 
-from assets.foreign_recordings import ARRIVALS, FOREIGN_VERDICTS, judge_arrivals
+from assets.foreign_recordings import ARRIVALS, judge_arrivals
 from oracle_pipeline.bags.errors import OracleError
 from resources.inbox import Inbox
+from resources.store import RunStore
 
 if TYPE_CHECKING:
     from oracle_pipeline.bags.arrivals import Arrival
 
-AT_ONCE = 100  # most runs that one tick requests; the others follow with the next ticks
+BATCH = 250  # most recordings of a Dagster run
+WAITING = 1000  # most recordings that a tick remembers; others follow once these are judged
 QUIET_S = 600.0  # without a change, after which an unfinished recording counts as cut off
+AGAIN_S = 3600.0  # after which a batch that has left no verdicts is requested again
+_ENDED = {dg.DagsterRunStatus.SUCCESS, dg.DagsterRunStatus.FAILURE, dg.DagsterRunStatus.CANCELED}
 
 
 @dataclass(slots=True)
 class _Cursor:
-    """The state of recordings at earlier ticks, by key of the recording."""
+    """What a tick knows of recordings without a verdict, by key: a bounded number."""
 
     seen: dict[str, str] = field(default_factory=dict)  # fingerprint at the last tick
-    requested: dict[str, str] = field(default_factory=dict)  # fingerprint when it was requested
-    names: dict[str, str] = field(default_factory=dict)  # of those that were requested
+    batch: dict[str, str] = field(default_factory=dict)  # of those that were requested last
+    requested_s: float = 0.0  # when that was [s since 1970]
 
     @classmethod
     def of(cls, text: str | None) -> Self:
-        return cls(**json.loads(text or "{}"))
+        known = json.loads(text or "{}")
+        return cls(**known) if known.keys() <= set(cls.__slots__) else cls()  # of a former release
 
 
 @dg.sensor(
     job=judge_arrivals,
     minimum_interval_seconds=30,
     default_status=dg.DefaultSensorStatus.STOPPED,
-    description="When a recording in the folder of ORACLE_INBOX is finished: judge it by the "
-    "reference card of ORACLE_CARD. Each recording is a partition and a Dagster run of its own.",
+    description="When recordings in the folder of ORACLE_INBOX are finished: judge them by the "
+    "reference card of ORACLE_CARD, as one partition and one Dagster run.",
 )
-def arrived_recordings(context: dg.SensorEvaluationContext, inbox: Inbox) -> dg.SensorResult:
-    """Request the recordings that are new or have changed, and report those that were removed."""
+def arrived_recordings(
+    context: dg.SensorEvaluationContext, inbox: Inbox, store: RunStore
+) -> dg.SensorResult:
+    """Request the recordings that are new or have changed, once no batch is in progress."""
     from oracle_pipeline.bags.arrivals import arrivals
+    from oracle_pipeline.scoring.kept_verdicts import verdict_rows
 
     previous = _Cursor.of(context.cursor)
     try:
         folder, _ = inbox.path, inbox.card_path
-        now = arrivals(folder)
+        now, rows = arrivals(folder), verdict_rows(store.path)
     except (OracleError, OSError) as error:
         return dg.SensorResult(skip_reason=str(error), cursor=context.cursor)
-    present = {arrival.key: arrival for arrival in now.found}
-    ready = [arrival for arrival in now.found if _is_ready(arrival, previous)][:AT_ONCE]
-    removed = {key: name for key, name in previous.names.items() if key not in present}
     for fault in now.faults:
         context.log.warning(fault)
-    for name in removed.values():
-        context.log.warning(f"{name} was removed from the inbox; its verdict is kept.")
-    requested = [key for key in previous.names if key in present] + [
-        arrival.key for arrival in ready
-    ]
-    fresh = {arrival.key: arrival.fingerprint for arrival in ready}
+    judged = dict(zip(rows["key"], rows["fingerprint"], strict=True))
+    waiting = [each for each in now.found if judged.get(each.key) != each.fingerprint][:WAITING]
+    in_progress = _in_progress(context.instance)
+    ready = [] if in_progress else [each for each in waiting if _is_ready(each, previous)][:BATCH]
+    removed = len(judged.keys() - {arrival.key for arrival in now.found})
     cursor = _Cursor(
-        seen={key: arrival.fingerprint for key, arrival in present.items()},
-        requested={key: fresh.get(key) or previous.requested[key] for key in requested},
-        names={key: present[key].name for key in requested},
+        {arrival.key: arrival.fingerprint for arrival in waiting},
+        previous.batch,
+        previous.requested_s,
     )
+    if not ready:
+        reason = _nothing([each.name for each in waiting], removed, in_progress=in_progress)
+        return dg.SensorResult(skip_reason=reason, cursor=json.dumps(asdict(cursor)))
+    cursor.batch = {arrival.key: arrival.fingerprint for arrival in ready}
+    cursor.requested_s = time.time()
+    batch = f"{datetime.now(UTC):%Y-%m-%dT%H-%M-%S}"
+    config = {"ops": {"judge_recordings": {"config": {"recordings": list(cursor.batch)}}}}
     return dg.SensorResult(
-        run_requests=[_request(arrival) for arrival in ready],
-        skip_reason=None if ready else _nothing(now.found, previous, removed.values()),
+        run_requests=[dg.RunRequest(batch, config, partition_key=batch)],
         cursor=json.dumps(asdict(cursor)),
-        dynamic_partitions_requests=[ARRIVALS.build_add_request(list(fresh))] if fresh else [],
-        asset_events=[_removal(key, name) for key, name in removed.items()],
+        dynamic_partitions_requests=[ARRIVALS.build_add_request([batch])],
     )
 
 
@@ -81,31 +92,26 @@ def _is_ready(arrival: "Arrival", previous: _Cursor) -> bool:
     """Return whether a recording is finished, and was not requested in its present state."""
     unchanged = previous.seen.get(arrival.key) == arrival.fingerprint
     cut_off = time.time() - arrival.changed_s > QUIET_S
-    is_new = previous.requested.get(arrival.key) != arrival.fingerprint
-    return is_new and unchanged and (arrival.finished or cut_off)
+    is_new = previous.batch.get(arrival.key) != arrival.fingerprint
+    may_be = is_new or time.time() - previous.requested_s > AGAIN_S
+    return unchanged and may_be and (cut_off or arrival.is_finished())
 
 
-def _request(arrival: "Arrival") -> dg.RunRequest:
-    """Request one recording, once for each state of its files."""
-    return dg.RunRequest(partition_key=arrival.key, run_key=f"{arrival.key} {arrival.fingerprint}")
+def _in_progress(instance: dg.DagsterInstance) -> bool:
+    """Return whether a batch is being judged, or will be."""
+    unfinished = [status for status in dg.DagsterRunStatus if status not in _ENDED]
+    of_job = dg.RunsFilter(job_name=judge_arrivals.name, statuses=unfinished)
+    return bool(instance.get_run_ids(of_job, limit=1))
 
 
-def _removal(key: str, name: str) -> dg.AssetObservation:
-    return dg.AssetObservation(
-        FOREIGN_VERDICTS.key,
-        partition=key,
-        description=f"{name} was removed from the inbox; its verdict is kept.",
-    )
-
-
-def _nothing(found: Iterable["Arrival"], previous: _Cursor, removed: Collection[str]) -> str:
+def _nothing(waiting: list[str], removed: int, *, in_progress: bool) -> str:
     """Return the reason why nothing is requested."""
-    waiting = [
-        arrival.name
-        for arrival in found
-        if previous.requested.get(arrival.key) != arrival.fingerprint
-    ]
-    reasons = [f"Removed: {', '.join(sorted(removed))}."] if removed else []
-    if waiting:
-        reasons.append(f"Still being written: {', '.join(waiting)}.")
+    reasons = []
+    if in_progress:
+        reasons.append(f"A batch is being judged; {len(waiting)} recordings wait for the next one.")
+    elif waiting:
+        names = ", ".join(waiting[:10]) + (", ..." if len(waiting) > 10 else "")
+        reasons.append(f"Still being written, or requested before: {names}.")
+    if removed:
+        reasons.append(f"{removed} of those judged were removed; their verdicts are kept.")
     return " ".join(reasons) or "There are no new recordings."

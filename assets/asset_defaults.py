@@ -4,7 +4,7 @@ from typing import Any, Literal, TypedDict
 
 import dagster as dg
 
-Scope = Literal["run", "campaign", "recording"]  # a run, all runs, one from the inbox
+Scope = Literal["run", "campaign", "batch"]  # a run, all runs, some recordings from the inbox
 
 SINGLE_RUN = dg.BackfillPolicy.single_run()  # one Dagster run for any range of partitions
 

@@ -5,7 +5,8 @@ and jobs over assets with different partitions. External assets are not part of 
 ``--select '*'`` still means the whole campaign.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import dagster as dg
@@ -22,21 +23,25 @@ from resources.inbox import Inbox
 from resources.store import RunStore
 
 if TYPE_CHECKING:
-    from oracle_pipeline.bags.arrivals import Arrival
+    import pandas as pd
+    from dagster import DagsterLogManager
+
+    from oracle_pipeline.features import FeatureTables
     from oracle_pipeline.scoring.kept_verdicts import KeptVerdict
 
-ARRIVALS = dg.DynamicPartitionsDefinition(name="arrivals")
+ARRIVALS = dg.DynamicPartitionsDefinition(name="arrivals")  # batches, by the time of the request
 GROUP = "foreign"
+SHOWN = 100  # recordings of a batch, in the UI
 _VERDICT_CODE = analysis_code("assets.worker.arrival_verdict")
 
 FOREIGN_FEATURES = dg.AssetSpec(
     "foreign_features",
     group_name=GROUP,
     kinds={"pandas", "parquet"},
-    **declared("recording", "foreign/<recording>/run.parquet"),
+    **declared("batch", "foreign/<recording>/run.parquet"),
     code_version=feature_code(),
     partitions_def=ARRIVALS,
-    description="""The features of a recording that arrived in the inbox, and of its windows.
+    description="""The features of recordings that arrived in the inbox, and of their windows.
 
 `<root>/foreign/<key>/run.parquet` and `window.parquet`, with the columns of `run_features` and
 `window_features`. The job `judge_arrivals` writes them, and the sensor `arrived_recordings` starts
@@ -46,14 +51,15 @@ FOREIGN_VERDICTS = dg.AssetSpec(
     "foreign_verdicts",
     deps=[FOREIGN_FEATURES],
     group_name=GROUP,
-    kinds={"oracle", "json"},
-    **declared("recording", "foreign/<recording>/verdict.json"),
+    kinds={"oracle", "parquet"},
+    **declared("batch", "report/foreign.parquet"),
     code_version=_VERDICT_CODE,
     partitions_def=ARRIVALS,
-    description="""The verdict on a recording by the reference card, with its evidence.
+    description="""The verdicts on recordings by the reference card, with their evidence.
 
 `<root>/foreign/<key>/verdict.json`: outcome, p-value, breaches of the contract, features outside
-their usual range. The same as `oracle score RECORDING --reference CARD`.""",
+their usual range. The same as `oracle score RECORDING --reference CARD`. A row of each is in
+`<root>/report/foreign.parquet`.""",
 )
 FOREIGN_REPORT = dg.AssetSpec(
     "foreign_report",
@@ -62,7 +68,7 @@ FOREIGN_REPORT = dg.AssetSpec(
     kinds={"oracle", "jinja"},
     **declared("campaign", "report/foreign.html"),
     code_version=analysis_code("oracle_pipeline.reporting.arrivals_page"),
-    description="""All verdicts on recordings that arrived, as one HTML file, the newest first.
+    description="""The newest and the oddest recordings that arrived, and the trend of their scores.
 
 `<root>/report/foreign.html`, beside the report on the campaign, which links to it.""",
 )
@@ -71,14 +77,17 @@ IS_NORMAL = dg.AssetCheckSpec(
     "recording_is_normal",
     asset=FOREIGN_VERDICTS.key,
     partitions_def=ARRIVALS,
-    description="The recording is not anomalous and breaks no contract. A recording that could not "
+    description="No recording of the batch is anomalous or breaks a contract. One that could not "
     "be judged does not pass; with too few normal recordings for a verdict this is a warning.",
 )
 
 
 class JudgeConfig(dg.Config):
-    """The false positive rate of a verdict, and limits for one recording."""
+    """Which recordings are judged, the false positive rate, and limits for one recording."""
 
+    recordings: list[str] = Field(
+        default=[], description="Keys of the recordings; empty: those that the batch had before."
+    )
     far: float = Field(
         default=0.05,
         gt=0.0,
@@ -95,48 +104,64 @@ class JudgeConfig(dg.Config):
 
 
 @dg.op
-def judge_recording(
+def judge_recordings(
     context: dg.OpExecutionContext, config: JudgeConfig, store: RunStore, inbox: Inbox
 ) -> Iterator[dg.AssetMaterialization | dg.AssetCheckEvaluation | dg.Output[None]]:
-    """Judge the recording of the partition, and update the page on all recordings."""
-    from assets.worker.arrival_verdict import judge_arrival
+    """Judge the recordings of a batch, and update the table and the page of all."""
+    from assets.worker.arrival_verdict import judge_arrivals
+    from oracle_pipeline.bags.arrivals import arrivals
     from oracle_pipeline.reporting.trend import trend
     from oracle_pipeline.scoring.isolation import Limits
+    from oracle_pipeline.scoring.kept_verdicts import add_verdicts, verdict_rows
 
-    key = context.partition_key
+    batch = context.partition_key
     store.require_writable()
     with clear_failures():
-        arrival = _arrival(inbox, key)
+        rows = verdict_rows(store.path)
+        wanted = set(config.recordings or rows.loc[rows["batch"] == batch, "key"])
+        found = arrivals(inbox.path, wanted).found
+        _report_missing(context.log, wanted - {each.key for each in found}, bool(found), inbox)
         limits = Limits(config.time_limit, config.memory_limit)
-        judged = judge_arrival(arrival, store.path, inbox.card_path, config.far, limits)
-        if judged.tables is not None:
+        work = judge_arrivals(found, store.path, inbox.card_path, config.far, limits, batch)
+        judged: list[KeptVerdict] = []
+        tables: list[FeatureTables] = []
+        try:
+            for kept, of_one in work:
+                judged.append(kept)
+                tables += [] if of_one is None else [of_one]
+                context.log.info(
+                    f"{len(judged)} of {len(found)} judged: {kept.verdict.recording} is "
+                    f"{kept.verdict.outcome}."
+                )
+        finally:  # what is finished is kept
+            rows = add_verdicts(store.path, judged)
+        own = rows[rows["batch"] == batch]
+        if tables:
             yield _materialized(
                 FOREIGN_FEATURES,
-                arrival,
+                batch,
                 {
-                    "path": dg.MetadataValue.path(str(layout.foreign(store.path, key))),
-                    "windows": len(judged.tables.windows),
-                    "dagster/row_count": len(judged.tables.run),
+                    "path": dg.MetadataValue.path(str(store.path / layout.FOREIGN)),
+                    "recordings": len(tables),
+                    "windows": sum(len(each.windows) for each in tables),
+                    "dagster/row_count": len(tables),
                     "dagster/column_schema": dg.MetadataValue.table_schema(
-                        presentation.columns(judged.tables.run)
+                        presentation.columns(tables[0].run)
                     ),
                 },
             )
-        yield _materialized(FOREIGN_VERDICTS, arrival, _facts(judged.kept, store))
-        target = latest_materialization(context.instance, FOREIGN_VERDICTS.key, key)
-        yield _evaluation(judged.kept, target)
-        shown = _write_page(store)
-    page, scores = layout.foreign_page(store.path), trend(shown)
-    context.log.info(
-        f"Verdict on {arrival.name}: {judged.kept.verdict.outcome}. All {len(shown)} verdicts "
-        f"are in {page}."
-    )
+        yield _materialized(FOREIGN_VERDICTS, batch, _facts(own, inbox, store))
+        yield _evaluation(
+            batch, own, latest_materialization(context.instance, FOREIGN_VERDICTS.key, batch)
+        )
+        page, scores = _write_page(store, rows), trend(rows)
+    context.log.info(f"Of {len(rows)} verdicts in all, {page} shows the newest and the oddest.")
     yield dg.AssetMaterialization(
         FOREIGN_REPORT.key,
         metadata={
             "path": dg.MetadataValue.path(str(page)),
             "url": dg.MetadataValue.url(f"{REPORT_PATH}/{page.name}"),
-            "recordings": len(shown),
+            "recordings": len(rows),
             **presentation.picture(scores),
         },
         tags={"dagster/code_version": str(FOREIGN_REPORT.code_version)},
@@ -146,13 +171,13 @@ def judge_recording(
 
 @dg.job(
     partitions_def=ARRIVALS,
-    description="Judge one recording in the inbox by the reference card: features, verdict, "
-    "check, page. The sensor `arrived_recordings` starts it; start it by hand to judge again, for "
-    "example with another card.",
+    description="Judge a batch of recordings in the inbox by the reference card: features, "
+    "verdicts, check, page. The sensor `arrived_recordings` starts it; start it by hand to judge "
+    "again, for example with another card.",
 )
 def judge_arrivals() -> None:
-    """Judge one recording."""
-    judge_recording()
+    """Judge a batch of recordings."""
+    judge_recordings()
 
 
 @dg.multi_asset_check(name="checks_of_arrivals", specs=[IS_NORMAL])
@@ -160,88 +185,84 @@ def checks_of_arrivals(
     context: dg.AssetCheckExecutionContext, store: RunStore
 ) -> Iterator[dg.AssetCheckEvaluation | dg.Output[None]]:
     """Return the check results of all stored verdicts; nothing is judged again."""
-    from oracle_pipeline.scoring.kept_verdicts import kept_verdicts
+    from oracle_pipeline.scoring.kept_verdicts import verdict_rows
 
     with clear_failures():
-        stored = kept_verdicts(store.path)
-    keys = [kept.key for kept in stored]
-    targets = latest_materializations(context.instance, FOREIGN_VERDICTS.key, keys)
-    for kept in stored:
-        yield _evaluation(kept, targets.get(kept.key))
+        rows = verdict_rows(store.path)
+    batches = {str(batch): own for batch, own in rows.groupby("batch") if batch}
+    targets = latest_materializations(context.instance, FOREIGN_VERDICTS.key, list(batches))
+    for batch, own in batches.items():
+        yield _evaluation(batch, own, targets.get(batch))
     yield dg.Output(None, output_name=IS_NORMAL.get_python_identifier())
 
 
-def _arrival(inbox: Inbox, key: str) -> "Arrival":
-    from oracle_pipeline.bags.arrivals import arrivals
+def _report_missing(
+    log: "DagsterLogManager", keys: Collection[str], any_is_there: bool, inbox: Inbox
+) -> None:
+    """Warn of recordings that were requested and are gone; an error if none is there."""
+    told = (
+        f"No recording in {inbox.path} has the key {', '.join(sorted(keys)) or 'that is missing'}: "
+        "it was removed or renamed. Put it back, or give other recordings in the configuration."
+    )
+    if not any_is_there:
+        raise dg.Failure(told, allow_retries=False)
+    if keys:
+        log.warning(told)
 
-    found = {arrival.key: arrival for arrival in arrivals(inbox.path).found}
-    if key not in found:
-        raise dg.Failure(
-            f"No recording in {inbox.path} has the key {key}: it was removed or renamed. Put it "
-            "back, or delete the partition.",
-            allow_retries=False,
-        )
-    return found[key]
 
-
-def _materialized(
-    spec: dg.AssetSpec, arrival: "Arrival", metadata: Figures
-) -> dg.AssetMaterialization:
+def _materialized(spec: dg.AssetSpec, batch: str, metadata: Figures) -> dg.AssetMaterialization:
     return dg.AssetMaterialization(
         spec.key,
-        partition=arrival.key,
-        metadata={"recording": arrival.name, **metadata},
+        partition=batch,
+        metadata=metadata,
         tags={"dagster/code_version": str(spec.code_version)},
     )
 
 
-def _facts(kept: "KeptVerdict", store: RunStore) -> Figures:
-    """Return a verdict as metadata, with its evidence as a table."""
-    from oracle_pipeline.scoring.output import HEADINGS, cells
-
-    verdict = kept.verdict
-    columns = [dg.TableColumn(heading, "string") for heading in HEADINGS]
-    rows = [
-        dg.TableRecord(dict(zip(HEADINGS, cells(each), strict=True))) for each in verdict.evidence
-    ]
-    numbers = {"p_value": verdict.p_value, "score": verdict.score}
+def _facts(rows: "pd.DataFrame", inbox: Inbox, store: RunStore) -> Figures:
+    """Return the verdicts of a batch as metadata, the oddest first."""
+    shown = rows.sort_values("score", ascending=False, kind="stable").head(SHOWN)
     return {
-        "outcome": verdict.outcome,
-        **{name: number for name, number in numbers.items() if number is not None},
-        "false_positive_rate": kept.far,
-        "card": kept.card,
-        "contract": dg.MetadataValue.json(list(verdict.contract)),
-        "evidence": dg.MetadataValue.table(rows, schema=dg.TableSchema(columns)),
-        "notes": dg.MetadataValue.json([*filter(None, [verdict.error]), *verdict.notes]),
-        "path": dg.MetadataValue.path(str(layout.foreign(store.path, kept.key) / layout.VERDICT)),
+        **{str(outcome): int(n) for outcome, n in rows["outcome"].value_counts().items()},
+        "recordings": len(rows),
+        "false_positive_rate": float(rows["far"].iloc[-1]),
+        "card": str(inbox.card_path),
+        "verdicts": presentation.table(shown.drop(columns=["fingerprint", "batch", "far"])),
+        "path": dg.MetadataValue.path(str(layout.foreign_rows(store.path))),
     }
 
 
-def _evaluation(kept: "KeptVerdict", target: dg.EventLogRecord | None) -> dg.AssetCheckEvaluation:
+def _evaluation(
+    batch: str, rows: "pd.DataFrame", target: dg.EventLogRecord | None
+) -> dg.AssetCheckEvaluation:
     """Return the check's result; too few normal recordings give only a warning."""
-    from oracle_pipeline.scoring.output import paragraph
-
-    verdict = kept.verdict
-    unsupported = verdict.outcome == "unsupported"
+    odd = rows[rows["outcome"] != "normal"]
+    lines = [
+        f"{row.outcome}: {row.recording}. {row.sentence}"
+        for row in odd.head(SHOWN).itertuples(index=False)
+    ]
     return check_evaluation(
         IS_NORMAL,
-        kept.key,
+        batch,
         target,
-        passed=verdict.outcome == "normal",
-        description="\n".join(paragraph(verdict)),
-        metadata={"outcome": verdict.outcome, "false_positive_rate": kept.far},
-        severity=dg.AssetCheckSeverity.WARN if unsupported else dg.AssetCheckSeverity.ERROR,
+        passed=odd.empty,
+        description="\n".join(lines) or f"All {len(rows)} are normal.",
+        metadata={"recordings": len(rows), "not_normal": len(odd)},
+        severity=dg.AssetCheckSeverity.WARN
+        if odd["outcome"].eq("unsupported").all()
+        else dg.AssetCheckSeverity.ERROR,
     )
 
 
-def _write_page(store: RunStore) -> "list[KeptVerdict]":
-    """Write the page on all verdicts, and return these."""
+def _write_page(store: RunStore, rows: "pd.DataFrame") -> Path:
+    """Write the page on all verdicts, and return its path."""
     from oracle_pipeline.reporting.arrivals_page import arrivals_page
     from oracle_pipeline.reporting.html import write_page
-    from oracle_pipeline.scoring.kept_verdicts import kept_verdicts
+    from oracle_pipeline.scoring.kept_verdicts import kept_verdict
 
-    shown: list[KeptVerdict] | None = None
-    while shown != (now := kept_verdicts(store.path)):  # another run may have written meanwhile
-        write_page(arrivals_page(now), layout.foreign_page(store.path))
-        shown = now
-    return shown
+    def load(key: str) -> "KeptVerdict":
+        return kept_verdict(layout.foreign(store.path, key) / layout.VERDICT)
+
+    page = layout.foreign_page(store.path)
+    write_page(arrivals_page(rows, load), page)
+    return page

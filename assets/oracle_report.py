@@ -63,7 +63,7 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
     from oracle_pipeline.reporting.run_pages import ShownRuns, write_run_pages
     from oracle_pipeline.reporting.searched import searched
     from oracle_pipeline.reporting.stored_report import Report
-    from oracle_pipeline.scoring.kept_verdicts import kept_verdicts
+    from oracle_pipeline.scoring.kept_verdicts import verdict_rows
     from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
     evaluation = Report.load(store.results("oracle_evaluation"))
@@ -80,7 +80,7 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
         pairs=Report.load(store.results("pairwise_report")),
         side_by_side=thesis_reports.side_by_side(runs_drawn_from(store), rows, rate, seed),
         storage=_storage(store),
-        arrived=summary(arrived) if (arrived := kept_verdicts(store.path)) else "",
+        arrived=summary(arrived) if len(arrived := verdict_rows(store.path)) else "",
         searched=searched(store.path),
         provenance=html.provenance(df),
     )

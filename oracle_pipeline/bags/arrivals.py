@@ -8,7 +8,7 @@ import itertools
 import os
 import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -33,8 +33,22 @@ class Arrival:
     path: Path
     key: str  # see `key_of`
     fingerprint: str  # of names, sizes and times of its files
-    finished: bool  # judged by its files; never true if the recorder was killed
     changed_s: float  # when one of its files last changed [s since 1970]
+
+    def is_finished(self) -> bool:
+        """Return whether its files have their ends; never true if the recorder was killed."""
+        try:
+            files = [self.path] if self.path.is_file() else list(_files(self.path))
+            whole = all(_ends(file) for file in files if is_recording(file))
+            if self.path.is_file():
+                return whole or self.path.suffix != ".mcap"
+            return (
+                whole
+                or is_complete_recording(self.path)
+                or any((self.path / name).is_file() for name in _LAST)
+            )
+        except OSError:  # removed meanwhile
+            return False
 
     @property
     def name(self) -> str:
@@ -49,8 +63,8 @@ class Arrivals(NamedTuple):
     faults: list[str]  # why some entries could not be inspected
 
 
-def arrivals(folder: Path) -> Arrivals:
-    """Return the recordings in a folder.
+def arrivals(folder: Path, keys: Collection[str] | None = None) -> Arrivals:
+    """Return the recordings in a folder, by default all.
 
     Hidden entries are left out, so that a copy can be made under a hidden name and then renamed.
 
@@ -61,8 +75,10 @@ def arrivals(folder: Path) -> Arrivals:
     """
     result = Arrivals([], [])
     for path in sorted(folder.iterdir(), key=os.fsencode):
+        if path.name.startswith(".") or (keys is not None and key_of(path.name) not in keys):
+            continue
         try:
-            if not path.name.startswith(".") and (arrival := _inspected(path)):
+            if arrival := _inspected(path):
                 result.found.append(arrival)
         except FileNotFoundError:
             continue  # removed meanwhile
@@ -97,12 +113,9 @@ def _inspected(path: Path) -> Arrival | None:
     if stat.S_ISDIR(status.st_mode):
         files = sorted(_files(path), key=os.fsencode)
         holds_one = any(file.name == MANIFEST_FILE or is_recording(file) for file in files)
-        finished = any((path / name).is_file() for name in _LAST) or is_complete_recording(path)
-        finished = finished or all(_ends(file) for file in files if is_recording(file))
     else:
         files = [path]
         holds_one = stat.S_ISREG(status.st_mode) and is_recording(path)
-        finished = holds_one and (_ends(path) or path.suffix != ".mcap")
     if not holds_one:
         return None
     states = [(file, file.stat()) for file in files]
@@ -111,7 +124,7 @@ def _inspected(path: Path) -> Arrival | None:
         digest.update(os.fsencode(file.relative_to(path.parent)))
         digest.update(b"\0%d %d\0" % (state.st_size, state.st_mtime_ns))
     changed_s = max(state.st_mtime for _, state in states)
-    return Arrival(path, key_of(path.name), digest.hexdigest()[:16], finished, changed_s)
+    return Arrival(path, key_of(path.name), digest.hexdigest()[:16], changed_s)
 
 
 def _files(folder: Path) -> Iterator[Path]:

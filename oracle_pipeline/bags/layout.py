@@ -62,6 +62,11 @@ def foreign_verdicts(root: Path) -> list[Path]:
     return sorted((root / FOREIGN).glob(f"*/{VERDICT}"))
 
 
+def foreign_rows(root: Path) -> Path:
+    """Return ``<root>/report/foreign.parquet``, a row for each foreign recording."""
+    return root / REPORT / "foreign.parquet"
+
+
 def foreign_page(root: Path) -> Path:
     """Return ``<root>/report/foreign.html``, the report on foreign recordings."""
     return root / REPORT / "foreign.html"

@@ -1,20 +1,21 @@
-"""The page on recordings from the inbox: a verdict for each, and the trend of scores.
+"""The page on recordings from the inbox: the newest, the oddest, and the trend of scores.
 
 One self-contained HTML file beside the report, from ``templates/arrivals.html.j2``.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable
 
 import pandas as pd
 
-from oracle_pipeline.reporting.tables import evidence_table, table
+from oracle_pipeline.reporting.tables import PageTable, evidence_table, table
 from oracle_pipeline.reporting.templating import picture, template
 from oracle_pipeline.reporting.trend import trend
 from oracle_pipeline.scoring.kept_verdicts import KeptVerdict
 from oracle_pipeline.scoring.output import family_as_text
 from oracle_pipeline.scoring.verdict import Judgement
 
+SHOWN = 50  # of the newest recordings, and of the oddest
 CAPTION = (
     "Scores night by night: 0 is the median of normal recordings, 1 their spread. Scores by "
     "different cards do not compare."
@@ -29,36 +30,39 @@ _IN_WORDS: dict[Judgement, str] = {
 }
 
 
-def arrivals_page(verdicts: Sequence[KeptVerdict]) -> str:
-    """Return the page, with the verdicts in the given order."""
-    listed = pd.DataFrame(
-        [
-            {
-                "recording": kept.verdict.recording,
-                "verdict": _IN_WORDS[kept.verdict.outcome],
-                "p_value": kept.verdict.p_value,
-                "score": kept.verdict.score,
-                "far": kept.far,
-                "judged_at": kept.judged_at,
-            }
-            for kept in verdicts
-        ]
-    )
-    scores = trend(verdicts)
+def arrivals_page(rows: pd.DataFrame, load: Callable[[str], KeptVerdict]) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        From `verdict_rows`.
+    load : callable
+        Returns the verdict on a recording by its key; called for those that are shown.
+    """
+    newest, scores = rows.iloc[::-1].head(SHOWN), trend(rows)
+    odd = rows[rows["outcome"] != "normal"]
+    oddest = odd.sort_values("score", ascending=False, kind="stable").head(SHOWN)
     return template("arrivals.html.j2").render(
-        verdicts=verdicts,
+        verdicts=[load(key) for key in dict.fromkeys([*newest["key"], *oddest["key"]])],
         trend=[picture("Scores by the time of judgement", CAPTION, scores)] if scores else [],
-        listed=table("arrivals", listed, links=[f"#{kept.key}" for kept in verdicts]),
-        summary=summary(verdicts),
+        newest=_listed("arrivals", newest),
+        oddest=_listed("oddest arrivals", oddest) if len(rows) > SHOWN else None,
+        summary=summary(rows),
         words=_IN_WORDS,
         evidence_table=evidence_table,
         family=family_as_text,
     )
 
 
-def summary(verdicts: Sequence[KeptVerdict]) -> str:
+def _listed(name: str, rows: pd.DataFrame) -> PageTable:
+    words = rows.assign(verdict=rows["outcome"].map(_IN_WORDS))
+    return table(name, words, links=[f"#{key}" for key in rows["key"]])
+
+
+def summary(rows: pd.DataFrame) -> str:
     """Return a sentence on the number of recordings of each outcome."""
-    count = Counter(kept.verdict.outcome for kept in verdicts)
+    count = Counter(rows["outcome"])
     parts = [f"{count[outcome]} {words}" for outcome, words in _IN_WORDS.items() if count[outcome]]
-    noun = "recording" if len(verdicts) == 1 else "recordings"
-    return f"{len(verdicts)} {noun}" + (f": {', '.join(parts)}." if parts else ".")
+    noun = "recording" if len(rows) == 1 else "recordings"
+    return f"{len(rows)} {noun}" + (f": {', '.join(parts)}." if parts else ".")

@@ -1,16 +1,13 @@
 """The scores of recordings that arrived, night by night, as one picture."""
 
-from collections.abc import Sequence
-from datetime import datetime
-
 import pandas as pd
 
 from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, MARKERS, drawing
 from oracle_pipeline.reporting.strip_plot import TICKS
-from oracle_pipeline.scoring.kept_verdicts import KeptVerdict
 from oracle_pipeline.scoring.verdict import Judgement
 
 LATEST = 7  # recordings whose median the line shows
+SHOWN = 2000  # scores
 _STYLES: dict[Judgement, tuple[str, str]] = {
     "normal": (COLORS["normal"], MARKERS["normal"]),
     "anomalous": (COLORS["malicious"], MARKERS["malicious"]),
@@ -19,16 +16,16 @@ _STYLES: dict[Judgement, tuple[str, str]] = {
 }
 
 
-def trend(verdicts: Sequence[KeptVerdict]) -> bytes:
-    """Return the scores by the time of judgement as PNG; empty with fewer than two scores."""
-    scores = pd.DataFrame(
-        [
-            (datetime.fromisoformat(kept.judged_at), kept.verdict.score, kept.verdict.outcome)
-            for kept in verdicts
-            if kept.verdict.score is not None
-        ],
-        columns=["judged", "score", "outcome"],
-    ).sort_values("judged")
+def trend(rows: pd.DataFrame) -> bytes:
+    """Return the newest scores by the time of judgement as PNG; empty with fewer than two.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        From `verdict_rows`.
+    """
+    scores = rows.dropna(subset="score").sort_values("judged_at").tail(SHOWN)
+    scores = scores.assign(judged=pd.to_datetime(scores["judged_at"]))
     if len(scores) < 2:
         return b""
     with drawing(7.2, 2.8) as (axes, png):

@@ -29,7 +29,7 @@ def test_every_asset_has_description_owner_path_and_kinds(asset: Any) -> None:
     assert asset.owners == ["team:behaviour-oracle"]
     assert asset.group_name not in (None, "default")
     assert asset.kinds
-    assert asset.tags["scope"] in ("run", "campaign", "recording")
+    assert asset.tags["scope"] in ("run", "campaign", "batch")
     assert (asset.tags["scope"] == "campaign") == (asset.partitions_def is None)
     assert asset.metadata["place"].value.startswith("<ORACLE_HOME>/")
     assert asset.code_version
@@ -73,7 +73,7 @@ def settings() -> list[tuple[str, Any]]:
 
 def test_there_are_documented_settings() -> None:
     names = {name for name, _ in settings()}
-    assert {"runs.refresh", "campaign.goals_per_run", "judge_recording.far"} <= names
+    assert {"runs.refresh", "campaign.goals_per_run", "judge_recordings.far"} <= names
 
 
 @pytest.mark.parametrize(("name", "field"), settings(), ids=lambda value: str(value)[:40])

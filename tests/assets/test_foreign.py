@@ -1,4 +1,4 @@
-"""Recordings that arrive in a folder are judged once each, by a real Dagster instance."""
+"""Recordings that arrive in a folder are judged once each, in batches, by a real instance."""
 
 import json
 import os
@@ -10,6 +10,7 @@ from typing import Any
 import dagster as dg
 import pytest
 
+from assets import arrival_sensor
 from assets.arrival_sensor import QUIET_S
 from assets.foreign_recordings import ARRIVALS, IS_NORMAL
 from oracle_pipeline.bags.arrivals import key_of
@@ -80,15 +81,18 @@ class Watched:
             shutil.copy(source, target)
         return key_of(name)
 
-    def judge(self, key: str, far: float = FAR) -> dg.ExecuteInProcessResult:
+    def judge(self, *keys: str, batch: str = "now", far: float = FAR) -> dg.ExecuteInProcessResult:
+        """Judge recordings as a batch, as the sensor requests it; none: those it had before."""
+        self.laboratory.instance.add_dynamic_partitions(str(ARRIVALS.name), [batch])
+        config = {"far": far, "recordings": list(keys)}
         return self.defs.resolve_job_def("judge_arrivals").execute_in_process(
-            partition_key=key,
+            partition_key=batch,
             instance=self.laboratory.instance,
-            run_config={"ops": {"judge_recording": {"config": {"far": far}}}},
+            run_config={"ops": {"judge_recordings": {"config": config}}},
             raise_on_error=False,
         )
 
-    def check(self, key: str) -> Any:
+    def check(self, batch: str = "now") -> Any:
         """Return the stored result of the check for one partition."""
         storage = self.laboratory.instance.event_log_storage
         history = storage.get_asset_check_execution_history(IS_NORMAL.key, limit=20)
@@ -97,7 +101,7 @@ class Watched:
             for record in history
             if record.event and record.event.dagster_event
         ]
-        return next(each for each in evaluations if each.partition == key)
+        return next(each for each in evaluations if each.partition == batch)
 
     def page(self) -> str:
         return (self.laboratory.root / "report" / "foreign.html").read_text(encoding="utf-8")
@@ -112,7 +116,14 @@ def watched(tmp_path: Path, place: Path) -> Iterator[Watched]:
 
 
 def keys(seen: Any) -> list[str]:
-    return [request.partition_key for request in seen.run_requests or []]
+    """Return the recordings that a tick requests; all are in one batch."""
+    requests = seen.run_requests or []
+    assert len(requests) <= 1
+    return [
+        key
+        for request in requests
+        for key in request.run_config["ops"]["judge_recordings"]["config"]["recordings"]
+    ]
 
 
 def test_a_recording_is_requested_once_it_is_stable_and_once_for_each_change(
@@ -124,14 +135,58 @@ def test_a_recording_is_requested_once_it_is_stable_and_once_for_each_change(
     assert "one" in first.skip_message
     second = watched.tick()
     assert keys(second) == [key]
-    assert watched.laboratory.instance.has_dynamic_partition(str(ARRIVALS.name), key)
+    (batch,) = watched.laboratory.instance.get_dynamic_partitions(str(ARRIVALS.name))
+    assert second.run_requests[0].partition_key == batch
     assert not keys(watched.tick())
+    assert watched.judge(key, batch=batch).success
     (mcap,) = (watched.folder / "one").glob("*.mcap")
     os.utime(mcap, (1.0, 1.0))
     assert not keys(watched.tick())
     again = watched.tick()
     assert keys(again) == [key]
-    assert again.run_requests[0].run_key != second.run_requests[0].run_key
+
+
+def test_while_a_batch_is_judged_the_next_one_gathers(
+    watched: Watched, place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(arrival_sensor, "BATCH", 3)
+    first = watched.arrive(place / "usual", "first")
+    watched.tick()
+    assert keys(watched.tick()) == [first]
+    job = watched.defs.resolve_job_def("judge_arrivals")
+    instance = watched.laboratory.instance
+    run = instance.create_run_for_job(job, status=dg.DagsterRunStatus.STARTED)
+    others = [watched.arrive(place / "usual", f"other{n}") for n in range(4)]
+    watched.tick()
+    waits = watched.tick()
+    assert not keys(waits)
+    assert "A batch is being judged; 5 recordings wait" in waits.skip_message
+    instance.report_run_failed(run)
+    assert keys(watched.tick()) == others[:3]
+    assert keys(watched.tick()) == [first, others[3]]  # the first batch has left no verdict
+
+
+def test_what_a_tick_remembers_is_bounded(
+    watched: Watched, place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(arrival_sensor, "WAITING", 2)
+    arrived = [watched.arrive(place / "broken.mcap", f"{n}.mcap") for n in range(5)]
+    judged = []
+    for batch in ("a", "b", "c"):
+        watched.tick()
+        some = keys(watched.tick())
+        assert watched.judge(*some, batch=batch).success
+        judged += some
+    assert judged == arrived
+    watched.tick()
+    assert not json.loads(watched.cursor or "")["seen"]
+
+
+def test_the_cursor_of_an_older_release_is_no_error(watched: Watched, place: Path) -> None:
+    key = watched.arrive(place / "usual", "one")
+    watched.cursor = json.dumps({"seen": {key: "0"}, "requested": {}, "names": {}})
+    watched.tick()
+    assert keys(watched.tick()) == [key]
 
 
 def test_a_recording_that_grows_is_not_requested(watched: Watched, place: Path) -> None:
@@ -174,10 +229,8 @@ def test_a_removed_recording_is_reported_and_its_verdict_kept(
     assert watched.judge(key).success
     shutil.rmtree(watched.folder / "gone")
     seen = watched.tick()
-    assert "Removed: gone." in seen.skip_message
-    assert [event.partition for event in seen.asset_events] == [key]
+    assert "1 of those judged were removed; their verdicts are kept." in seen.skip_message
     assert "gone" in watched.page()
-    assert not watched.tick().asset_events  # reported once
 
 
 @pytest.mark.parametrize("lacking", ["folder", "card"])
@@ -204,20 +257,22 @@ def test_each_recording_gets_its_verdict_and_a_bad_one_does_not_block_others(
     }
     watched.tick()
     assert sorted(keys(watched.tick())) == sorted(found.values())
-    for key in found.values():
-        assert watched.judge(key).success
-    checks = {name: watched.check(key) for name, key in found.items()}
-    assert {name: check.passed for name, check in checks.items()} == {
-        "broken": False, "odd": False, "usual": True
+    assert watched.judge(*found.values()).success
+    check = watched.check()
+    assert not check.passed
+    assert check.severity == dg.AssetCheckSeverity.ERROR
+    lines = check.description.splitlines()
+    assert [line.split(":")[0] for line in lines] == ["error", "anomalous"]
+    assert r"spinning \udcff|...\x1b[2J" in lines[1]
+    assert watched.laboratory.materialized("foreign_features") == {"now"}
+    assert watched.laboratory.figures("foreign_features", "now")["recordings"] == 2
+    figures = watched.laboratory.figures("foreign_verdicts", "now")
+    assert {name: figures[name] for name in ("anomalous", "error", "normal")} == {
+        "anomalous": 1, "error": 1, "normal": 1
     }  # fmt: skip
-    assert {check.severity for check in checks.values()} == {dg.AssetCheckSeverity.ERROR}
-    assert "z" in checks["odd"].description
-    assert watched.laboratory.materialized("foreign_features") == {found["odd"], found["usual"]}
-    assert watched.laboratory.materialized("foreign_verdicts") == set(found.values())
-    figures = watched.laboratory.figures("foreign_verdicts", found["odd"])
-    assert figures["outcome"] == "anomalous"
-    assert figures["recording"] == r"spinning \udcff|...\x1b[2J"
-    assert len(figures["evidence"].records) > 0
+    assert figures["verdicts"].records[0].data["outcome"] == "anomalous"
+    rows = read_table(watched.laboratory.root / "report" / "foreign.parquet")
+    assert set(rows["key"]) == set(found.values())
     folder = watched.laboratory.root / "foreign" / found["odd"]
     assert len(read_table(folder / "run.parquet")) == 1
     assert len(read_table(folder / "window.parquet")) > 1
@@ -233,19 +288,20 @@ def test_each_recording_gets_its_verdict_and_a_bad_one_does_not_block_others(
 
 def test_too_few_normal_recordings_are_a_warning(watched: Watched, place: Path) -> None:
     key = watched.arrive(place / "usual", "usual")
-    watched.laboratory.instance.add_dynamic_partitions(str(ARRIVALS.name), [key])
     assert watched.judge(key, far=0.05).success
-    check = watched.check(key)
+    check = watched.check()
     assert not check.passed
     assert check.severity is dg.AssetCheckSeverity.WARN
-    assert "19 are needed" in check.description
+    assert "Too few normal runs" in check.description
+    again = watched.judge()  # those that the batch had
+    assert again.success
+    assert watched.check().passed
 
 
 def test_a_recording_removed_before_its_run_is_an_error(watched: Watched) -> None:
-    watched.laboratory.instance.add_dynamic_partitions(str(ARRIVALS.name), ["gone"])
     failed = watched.judge("gone")
     assert not failed.success
-    data = failed.failure_data_for_node("judge_recording")
+    data = failed.failure_data_for_node("judge_recordings")
     assert data is not None
     assert data.user_failure_data is not None
     assert "was removed or renamed" in str(data.user_failure_data.description)
@@ -253,7 +309,6 @@ def test_a_recording_removed_before_its_run_is_an_error(watched: Watched) -> Non
 
 def test_the_check_can_run_again_without_judging(watched: Watched, place: Path) -> None:
     key = watched.arrive(place / "spinning", "spinning")
-    watched.laboratory.instance.add_dynamic_partitions(str(ARRIVALS.name), [key])
     assert watched.judge(key).success
     shutil.rmtree(watched.folder / "spinning")
     job = dg.define_asset_job("again", selection=dg.AssetSelection.checks(IS_NORMAL.key))
@@ -261,4 +316,4 @@ def test_the_check_can_run_again_without_judging(watched: Watched, place: Path) 
     shown = defs.resolve_job_def("again").execute_in_process(instance=watched.laboratory.instance)
     (evaluation,) = shown.get_asset_check_evaluations()
     assert not evaluation.passed
-    assert evaluation.partition == key
+    assert evaluation.partition == "now"

@@ -51,24 +51,24 @@ def test_a_name_that_equals_the_key_of_another_has_a_different_key(name: str) ->
 
 def test_a_bag_without_metadata_is_unfinished_until_its_file_has_its_end(inbox: Path) -> None:
     write_bag(inbox / "bag", drive())
-    assert only(inbox).finished
+    assert only(inbox).is_finished()
     (inbox / "bag" / "metadata.yaml").unlink()  # rosbag2 writes it last
-    assert only(inbox).finished
+    assert only(inbox).is_finished()
     (mcap,) = (inbox / "bag").iterdir()
     whole = mcap.read_bytes()
     mcap.write_bytes(whole[:-8])
-    assert not only(inbox).finished
+    assert not only(inbox).is_finished()
     mcap.rename(inbox / "alone.mcap")
-    assert not only(inbox).finished
+    assert not only(inbox).is_finished()
     (inbox / "alone.mcap").write_bytes(whole)
-    assert only(inbox).finished
+    assert only(inbox).is_finished()
 
 
 def test_a_sqlite_bag_without_metadata_is_unfinished(inbox: Path) -> None:
     write_bag(inbox / "bag", drive(), "sqlite3")
-    assert only(inbox).finished
+    assert only(inbox).is_finished()
     (inbox / "bag" / "metadata.yaml").unlink()
-    assert not only(inbox).finished
+    assert not only(inbox).is_finished()
 
 
 @pytest.mark.parametrize("change", ["grow", "touch", "add"])

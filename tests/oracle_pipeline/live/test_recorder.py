@@ -51,11 +51,11 @@ def test_a_recording_in_progress_is_readable_and_not_taken_for_complete(tmp_path
     made.write_graph(0, ros_graph())
     assert stamps(tmp_path / "today") == expected(range(3))
     assert not is_complete_recording(tmp_path / "today")
-    assert not arrivals(tmp_path).found[0].finished
+    assert not arrivals(tmp_path).found[0].is_finished()
     assert not list(recover(tmp_path))  # its writer lives
     made.close()
     assert is_complete_recording(tmp_path / "today")
-    assert arrivals(tmp_path).found[0].finished
+    assert arrivals(tmp_path).found[0].is_finished()
     with open_run(tmp_path / "today", strict=True) as run:
         assert len(run.intervals) == 1
 

@@ -7,7 +7,12 @@ import pytest
 from oracle_pipeline.bags import layout
 from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.alarms import Alarm
-from oracle_pipeline.scoring.kept_verdicts import KeptVerdict, KeptVerdictError, kept_verdicts
+from oracle_pipeline.scoring.kept_verdicts import (
+    KeptVerdict,
+    KeptVerdictError,
+    add_verdicts,
+    verdict_rows,
+)
 from oracle_pipeline.scoring.verdict import AspectScore, Evidence, Verdict, WindowSeries
 
 WHOLE = Verdict(
@@ -30,14 +35,29 @@ def test_a_verdict_is_read_as_it_was_kept(tmp_path, verdict):
     assert KeptVerdict.load(tmp_path / "verdict.json") == written
 
 
-def test_all_verdicts_of_a_root_are_found_the_newest_first(tmp_path):
+def test_the_table_of_a_root_has_the_last_verdict_on_each_recording(tmp_path):
+    add_verdicts(tmp_path, [kept("a", WHOLE), kept("b", Verdict("b", "normal"))])
+    add_verdicts(tmp_path, [kept("a", Verdict("a", "error", error="cut off"))])
+    rows = verdict_rows(tmp_path)
+    assert rows["key"].tolist() == ["b", "a"]
+    assert rows["outcome"].tolist() == ["normal", "error"]
+    assert rows["score"].isna().all()
+    assert rows["sentence"].iloc[-1] == "cut off"
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+def test_a_table_that_is_missing_or_damaged_is_made_again_from_the_files(tmp_path, damaged):
     for number, key in enumerate("abc"):
         kept(key, WHOLE, f"2026-11-2{number}T10:00:00+00:00").save(
             layout.foreign(tmp_path, key) / layout.VERDICT
         )
     (layout.foreign(tmp_path, "b") / layout.VERDICT).write_text("{}")
-    assert [each.key for each in kept_verdicts(tmp_path)] == ["c", "a", "b"]
-    assert kept_verdicts(tmp_path)[-1].verdict.outcome == "error"
+    if damaged:
+        layout.foreign_rows(tmp_path).parent.mkdir()
+        layout.foreign_rows(tmp_path).write_bytes(b"PAR1")
+    assert verdict_rows(tmp_path)["key"].tolist() == ["b", "a", "c"]
+    assert verdict_rows(tmp_path)["outcome"].iloc[0] == "error"
+    assert not len(verdict_rows(tmp_path / "none"))
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", json.dumps({"version": 99})])
