@@ -5,18 +5,18 @@ All automation is off by default. docs/how-to/automation.md explains how to use 
 
 import dagster as dg
 
+from assets import thesis_method
 from assets.experiment_runs import RUN_FEATURES, SPECS, WINDOW_FEATURES
 from assets.feature_dataset import feature_dataset
 from assets.oracle_evaluation import oracle_evaluation
 from assets.partitions import RUNS
-from assets.thesis_method import (
-    bootstrapped_dataset,
-    clustering_grid_search,
-    malicious_rate_report,
-    pairwise_report,
-)
 
-THESIS = (bootstrapped_dataset, clustering_grid_search, malicious_rate_report, pairwise_report)
+THESIS = (
+    thesis_method.bootstrapped_dataset,
+    thesis_method.clustering_grid_search,
+    thesis_method.malicious_rate_report,
+    thesis_method.pairwise_report,
+)
 
 everything = dg.define_asset_job(
     "everything",

@@ -5,7 +5,7 @@ and jobs over assets with different partitions. External assets are not part of 
 ``--select '*'`` still means the whole campaign.
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,6 @@ from resources.store import RunStore
 
 if TYPE_CHECKING:
     import pandas as pd
-    from dagster import DagsterLogManager
 
     from oracle_pipeline.features import FeatureTables
     from oracle_pipeline.scoring.kept_verdicts import KeptVerdict
@@ -120,7 +119,14 @@ def judge_recordings(
         rows = verdict_rows(store.path)
         wanted = set(config.recordings or rows.loc[rows["batch"] == batch, "key"])
         found = arrivals(inbox.path, wanted).found
-        _report_missing(context.log, wanted - {each.key for each in found}, bool(found), inbox)
+        if gone := ", ".join(sorted(wanted - {each.key for each in found})):
+            context.log.warning(f"{inbox.path} has no recording {gone}: removed or renamed.")
+        if not found:
+            raise dg.Failure(
+                f"No recording of this batch is in {inbox.path}: they were removed or renamed. Put "
+                "them back, or give other recordings in the configuration.",
+                allow_retries=False,
+            )
         limits = Limits(config.time_limit, config.memory_limit)
         work = judge_arrivals(found, store.path, inbox.card_path, config.far, limits, batch)
         judged: list[KeptVerdict] = []
@@ -194,20 +200,6 @@ def checks_of_arrivals(
     for batch, own in batches.items():
         yield _evaluation(batch, own, targets.get(batch))
     yield dg.Output(None, output_name=IS_NORMAL.get_python_identifier())
-
-
-def _report_missing(
-    log: "DagsterLogManager", keys: Collection[str], any_is_there: bool, inbox: Inbox
-) -> None:
-    """Warn of recordings that were requested and are gone; an error if none is there."""
-    told = (
-        f"No recording in {inbox.path} has the key {', '.join(sorted(keys)) or 'that is missing'}: "
-        "it was removed or renamed. Put it back, or give other recordings in the configuration."
-    )
-    if not any_is_there:
-        raise dg.Failure(told, allow_retries=False)
-    if keys:
-        log.warning(told)
 
 
 def _materialized(spec: dg.AssetSpec, batch: str, metadata: Figures) -> dg.AssetMaterialization:

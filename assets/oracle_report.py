@@ -10,18 +10,12 @@ from typing import TYPE_CHECKING
 
 import dagster as dg
 
+from assets import thesis_method
 from assets.aggregates import aggregate, run_table, windows_of
 from assets.feature_dataset import feature_dataset
 from assets.oracle_evaluation import oracle_evaluation
 from assets.partitions import testbed_of
 from assets.record_command import record_command
-from assets.thesis_method import (
-    bootstrap_settings,
-    clustering_grid_search,
-    malicious_rate_report,
-    pairwise_report,
-    runs_drawn_from,
-)
 from assets.webserver.report import REPORT_PATH
 from resources.store import RunStore
 
@@ -39,9 +33,9 @@ FRESH = dg.FreshnessPolicy.time_window(  # tolerates one failed night; evaluated
     "matplotlib",
     deps=[
         feature_dataset,
-        clustering_grid_search,
-        malicious_rate_report,
-        pairwise_report,
+        thesis_method.clustering_grid_search,
+        thesis_method.malicious_rate_report,
+        thesis_method.pairwise_report,
         oracle_evaluation,
     ],
     place="report/index.html",
@@ -71,14 +65,16 @@ def oracle_report(context: dg.AssetExecutionContext, store: RunStore) -> dg.Mate
     df = run_table(store, testbed)
     measured = MeasuredRuns.ordered(df, windows_of(store, df))
     deviations = deviations_of_runs(df)
-    rows, rate, seed, _ = bootstrap_settings(store)
+    rows, rate, seed, _ = thesis_method.bootstrap_settings(store)
     page = html.render(
         evaluation=evaluation,
         record=partial(record_command, testbed=testbed),
         grid=Report.load(store.results("clustering_grid_search")),
         rates=Report.load(store.results("malicious_rate_report")),
         pairs=Report.load(store.results("pairwise_report")),
-        side_by_side=thesis_reports.side_by_side(runs_drawn_from(store), rows, rate, seed),
+        side_by_side=thesis_reports.side_by_side(
+            thesis_method.runs_drawn_from(store), rows, rate, seed
+        ),
         storage=_storage(store),
         arrived=summary(arrived) if len(arrived := verdict_rows(store.path)) else "",
         searched=searched(store.path),

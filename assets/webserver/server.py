@@ -23,13 +23,7 @@ from dagster import DagsterInstance
 from dagster_webserver.app import create_app_from_workspace_process_context
 from dagster_webserver.version import __version__
 
-from assets.webserver.dagster_internals import (
-    ProxyServerManager,
-    WorkspaceFileTarget,
-    WorkspaceProcessContext,
-    configure_loggers,
-    get_instance_for_cli,
-)
+from assets.webserver import dagster_internals
 from assets.webserver.report import report_route
 from oracle_pipeline.bags.terminal import version_option
 from oracle_pipeline.web_guard import VARIABLE, Guard, OriginError, parse_origins
@@ -74,12 +68,12 @@ def main(workspace: Path | None, host: str, port: int | None, webserver_only: bo
     for number in (signal.SIGINT, signal.SIGTERM):  # some shells ignore them for child processes
         signal.signal(number, signal.default_int_handler)
     workspace = (workspace or _default_workspace()).absolute()
-    configure_loggers()
+    dagster_internals.configure_loggers()
     commit_in_bulk()
     with contextlib.suppress(KeyboardInterrupt), contextlib.ExitStack() as stack:
         stack.enter_context(contextlib.chdir(workspace.parent))  # `.env` and `data` are there
         os.environ["ORACLE_DAGSTER_HOME"] = str(workspace.parent / ".dagster_home")
-        instance = stack.enter_context(get_instance_for_cli())
+        instance = stack.enter_context(dagster_internals.get_instance_for_cli())
         for run in fail_lost_runs(instance):
             _log.warning("The process of run %s is gone; it is marked as failed.", run)
         if not webserver_only:
@@ -105,9 +99,9 @@ def _default_workspace() -> Path:
 @contextlib.contextmanager
 def _shared_code_servers(instance: DagsterInstance, workspace: Path) -> Iterator[Path]:
     """Start a code server for each location; yield a workspace file with the servers."""
-    target = WorkspaceFileTarget(paths=[str(workspace)])
+    target = dagster_internals.WorkspaceFileTarget(paths=[str(workspace)])
     with (
-        ProxyServerManager(instance, target, "WARNING") as servers,
+        dagster_internals.ProxyServerManager(instance, target, "WARNING") as servers,
         tempfile.TemporaryDirectory(prefix="oracle-ui-") as folder,
     ):
         shared = Path(folder, "workspace.yaml")
@@ -122,8 +116,10 @@ def _web_server(instance: DagsterInstance, workspace: Path) -> Iterator[uvicorn.
         origins = parse_origins(os.environ.get(VARIABLE, ""))
     except OriginError as error:
         raise click.UsageError(str(error)) from error
-    target = WorkspaceFileTarget(paths=[str(workspace)])
-    with WorkspaceProcessContext(instance, target, version=__version__) as context:
+    target = dagster_internals.WorkspaceFileTarget(paths=[str(workspace)])
+    with dagster_internals.WorkspaceProcessContext(
+        instance, target, version=__version__
+    ) as context:
         dagster = create_app_from_workspace_process_context(context)
         store = RunStore(root=os.environ.get("ORACLE_HOME") or "data")
         if store.is_local:

@@ -10,14 +10,7 @@ from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
 
-from oracle_pipeline.bags import dds, types
-from oracle_pipeline.bags.dds_names import (
-    ENTITIES_TOPIC,
-    ENTITIES_TYPE,
-    ros_service,
-    ros_topic,
-    ros_type,
-)
+from oracle_pipeline.bags import dds, dds_names, types
 from oracle_pipeline.bags.discovery import ENTITIES_QOS, Discovery, Endpoint
 
 _GUID = 16  # bytes; ROS 2 pads them to 24 up to Humble
@@ -40,7 +33,9 @@ class DdsDiscovery(Discovery):
         # Identifiers have 24 bytes up to Humble, and 16 later; a reader receives only its own type.
         self._stores = (types.typestore(), get_typestore(Stores.ROS2_JAZZY))
         self._entities = [
-            dds.RawReader(participant, ENTITIES_TOPIC, ENTITIES_TYPE, ENTITIES_QOS, store)
+            dds.RawReader(
+                participant, dds_names.ENTITIES_TOPIC, dds_names.ENTITIES_TYPE, ENTITIES_QOS, store
+            )
             for store in self._stores
         ]
         self._participants: dict[int, bytes] = {}  # by handle
@@ -61,7 +56,7 @@ class DdsDiscovery(Discovery):
             while raw := reader.take():
                 for message in raw:
                     with contextlib.suppress(ValueError):  # names that are not UTF-8
-                        self._claim(store.deserialize_cdr(message.data, ENTITIES_TYPE))
+                        self._claim(store.deserialize_cdr(message.data, dds_names.ENTITIES_TYPE))
         return self.revision != before
 
     def nodes(self) -> Iterator[Mapping[str, frozenset[bytes]]]:
@@ -85,9 +80,9 @@ class DdsDiscovery(Discovery):
             self.revision += self.endpoints.pop(sample.handle, None) is not None
             self._servers.pop(sample.handle, None)
             return
-        if not publishes and (service := ros_service(sample.topic)) is not None:
+        if not publishes and (service := dds_names.ros_service(sample.topic)) is not None:
             self._servers[sample.handle] = service
-        topic, msgtype = ros_topic(sample.topic), ros_type(sample.type)
+        topic, msgtype = dds_names.ros_topic(sample.topic), dds_names.ros_type(sample.type)
         if topic is None or msgtype is None or sample.participant == self._own:
             return
         self.revision += 1

@@ -20,19 +20,12 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2.storage_mcap import Channel, PendingChunk, Schema
 
+from oracle_pipeline.bags import storage
 from oracle_pipeline.bags.batch_storage import BatchMcapWriter
 from oracle_pipeline.bags.compression import decompress
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.mcap import MAGIC, Fields
 from oracle_pipeline.bags.records import MCAP_CHANNEL, MCAP_SCHEMA, mcap_records
-from oracle_pipeline.bags.storage import (
-    METADATA_VERSION,
-    NO_HASH,
-    BagFile,
-    Information,
-    as_yaml,
-    information,
-)
 
 _HEADER, _CHUNK, _INDEX = 0x01, 0x06, 0x07
 _HEAD = struct.Struct("<BQ")
@@ -42,7 +35,7 @@ class NoMessageError(BagError):
     """The file has no whole chunk."""
 
 
-def finish_mcap(path: Path) -> Information:
+def finish_mcap(path: Path) -> storage.Information:
     """Finish a file that `BatchMcapWriter` began; return what ``metadata.yaml`` tells of it.
 
     Raises
@@ -57,9 +50,9 @@ def finish_mcap(path: Path) -> Information:
         (_connection(channel, writer.schemas), profiles, writer.channel_stats[channel.id])
         for channel, profiles in writer.described()
     ]
-    file = BagFile(path.name, writer.message_start_time, writer.message_end_time)
-    told = information("mcap", file, topics)
-    writer.close(METADATA_VERSION, as_yaml(told).strip())
+    file = storage.BagFile(path.name, writer.message_start_time, writer.message_end_time)
+    told = storage.information("mcap", file, topics)
+    writer.close(storage.METADATA_VERSION, storage.as_yaml(told).strip())
     return told
 
 
@@ -170,6 +163,6 @@ def _connection(channel: Channel, schemas: list[Schema]) -> Connection:
     (schema,) = (each for each in schemas if each.name == channel.schema)
     form = MessageDefinitionFormat.MSG
     return Connection(
-        channel.id, channel.topic, schema.name, MessageDefinition(form, schema.data), NO_HASH, 0,
-        ConnectionExtRosbag2("cdr", []), None,
+        channel.id, channel.topic, schema.name, MessageDefinition(form, schema.data),
+        storage.NO_HASH, 0, ConnectionExtRosbag2("cdr", []), None,
     )  # fmt: skip

@@ -12,6 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.comparison import permutation
 from oracle_pipeline.comparison.measurements import (
     aligned,
     family_of,
@@ -19,12 +20,6 @@ from oracle_pipeline.comparison.measurements import (
     resolved_values,
     unit_of,
     varying_columns,
-)
-from oracle_pipeline.comparison.permutation import (
-    MatchedPairs,
-    PermutationDesign,
-    TwoSamples,
-    adjusted_p_values,
 )
 from oracle_pipeline.datasets import SIGNALS
 from oracle_pipeline.features import FeatureManager
@@ -153,17 +148,19 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> SetComp
     if not varying.any():
         raise ComparisonError("No feature varies between these recordings; use more of them.")
     left, right = (table[:, varying] for table in resolved)
-    design: PermutationDesign
+    design: permutation.PermutationDesign
     if partners is None:
         recordings = first.recordings, second.recordings
-        design = TwoSamples(left, right, recordings)
+        design = permutation.TwoSamples(left, right, recordings)
     else:
         recordings = np.arange(len(left)), np.arange(len(right))
-        design = MatchedPairs(left, right)
+        design = permutation.MatchedPairs(left, right)
     rng = np.random.default_rng(SEED)
     columns = values[0].columns[varying].to_list()
     size = np.abs(design.t(design.real[None])[0])
-    tested = zip(columns, size, design.effect(), adjusted_p_values(design, rng), strict=True)
+    tested = zip(
+        columns, size, design.effect(), permutation.adjusted_p_values(design, rng), strict=True
+    )
     found = [
         Difference(
             feature=column,

@@ -13,12 +13,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.detectors.distances import LargestZ
 from oracle_pipeline.oracles.kind import OracleKind, TracedRuns
-from oracle_pipeline.scoring.cross_conformal import (
-    FOLDS,
-    MIN_BLOCKS,
-    CrossConformalScorer,
-    assign_folds,
-)
+from oracle_pipeline.scoring import cross_conformal
 from oracle_pipeline.scoring.run_scorer import Design
 
 _SEED = 0
@@ -88,15 +83,17 @@ def _fold_scores(kind: OracleKind, runs: TracedRuns) -> NDArray[np.float64]:
 
 def _folds(normal: TracedRuns) -> NDArray[np.intp]:
     """Assign whole sessions to folds, or blocks if there are too few, as a reference card does."""
-    few = len(np.unique(normal.session)) < MIN_BLOCKS
+    few = len(np.unique(normal.session)) < cross_conformal.MIN_BLOCKS
     unit = normal.block if few else normal.session
-    return assign_folds(unit, FOLDS, np.random.default_rng(_SEED))
+    return cross_conformal.assign_folds(unit, cross_conformal.FOLDS, np.random.default_rng(_SEED))
 
 
 def _judge_by_votes(scores: NDArray[np.float64], runs: TracedRuns) -> KindScores:
     """Compute p-values from the votes of normal blocks; `scores` has shape (n_folds, n_runs)."""
     normal = runs.normal
-    votes = CrossConformalScorer(Design(LargestZ(), (), (), {}))  # only for its folds and votes
+    votes = cross_conformal.CrossConformalScorer(
+        Design(LargestZ(), (), (), {})
+    )  # only for its folds and votes
     votes.fold_, votes.block_ = _folds(runs.where(normal)), runs.block[normal]
     votes.held_out_ = scores[votes.fold_, np.flatnonzero(normal)]
     return KindScores(votes.own_score(scores, runs.block), votes.p_values(scores, runs.block))

@@ -13,13 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from sklearn.pipeline import Pipeline
 
-from oracle_pipeline.detectors import (
-    BeyondRange,
-    LargestGroup,
-    SignalScaler,
-    explain,
-    single_threaded,
-)
+from oracle_pipeline import detectors
 from oracle_pipeline.scoring.alarms import RATE_PER_H, NormalWindows
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
@@ -63,10 +57,10 @@ def check_scorer(scorer: CrossConformalScorer, runs: pd.DataFrame) -> None:
     if scorer.windows_ is not None:
         _check_windows(scorer.windows_)
     _check_scores(scorer, runs)
-    of_signals = SignalScaler(design.floors)
+    of_signals = detectors.SignalScaler(design.floors)
     for columns, scaler in ((design.run_features, None), (design.run_signals, of_signals)):
         if columns:  # evidence comes from the declarations of the columns too
-            explain(runs, runs.iloc[:1], columns, scaler)
+            detectors.explain(runs, runs.iloc[:1], columns, scaler)
 
 
 def _require(fits: bool, fault: str) -> None:
@@ -91,12 +85,12 @@ def _check_model(level: str, model: Pipeline, columns: Sequence[str]) -> None:
     width = len(kept) + len(indicated)
     _check_numbers("center", scaler.center_, len(kept))
     _check_numbers("scale", scaler.scale_, len(kept), above=0.0)
-    if isinstance(detector, BeyondRange):
+    if isinstance(detector, detectors.BeyondRange):
         _check_numbers("low", detector.low_, width)
         _check_numbers("high above low", detector.high_ - detector.low_, width, above=-1e-300)
         return
     _check_numbers("location", detector.location_, width)
-    if not isinstance(detector, LargestGroup):
+    if not isinstance(detector, detectors.LargestGroup):
         precision = detector.precision_
         _check_numbers("precision", precision.ravel(), width * width)
         _check_numbers("the diagonal of precision", np.diag(precision), width, above=0.0)
@@ -136,7 +130,7 @@ def _check_scores(scorer: CrossConformalScorer, runs: pd.DataFrame) -> None:
     of_runs = pd.DataFrame({"run_id": runs["run_id"]})  # the card has no features of their windows
     seen = MeasuredRuns.ordered(table, pd.concat([of_runs, windows], ignore_index=True))
     seen = seen.with_columns(design.run_columns, design.window_columns)
-    with single_threaded():
+    with detectors.single_threaded():
         scores = np.stack([of_fold.score(seen) for of_fold in scorer.scorers_])
         alarms = scorer.window_scores(windows) if scorer.windows_ is not None else np.empty(0)
     _require(bool(np.isfinite(scores).all()), "a score is not a finite number")

@@ -29,17 +29,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
+from oracle_pipeline.scoring import run_scorer
 from oracle_pipeline.scoring.alarms import NormalWindows
 from oracle_pipeline.scoring.conformal import ConformalError
 from oracle_pipeline.scoring.lengths import is_outside
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.scoring.run_scorer import (
-    OF_SIGNALS,
-    OF_WINDOWS,
-    WHOLE_SIGNALS,
-    Design,
-    RunScorer,
-)
 
 FOLDS = 10
 SEED = 0  # of the folds, and of detectors that draw
@@ -78,7 +72,7 @@ class CrossConformalScorer:
         Held-out scores of their windows for alarms; None if windows have no features.
     """
 
-    def __init__(self, design: Design, folds: int = FOLDS) -> None:
+    def __init__(self, design: run_scorer.Design, folds: int = FOLDS) -> None:
         self.design = design
         self.folds = folds
 
@@ -107,7 +101,10 @@ class CrossConformalScorer:
         of_windows = np.empty(len(runs.run))
         for fold in range(self.fold_.max() + 1):
             out = self.fold_ == fold
-            held_out, scorer = seen.where(out), RunScorer(self.design).fit(seen.where(~out))
+            held_out, scorer = (
+                seen.where(out),
+                run_scorer.RunScorer(self.design).fit(seen.where(~out)),
+            )
             scores = scorer.score(held_out)
             if by_level is None:
                 by_level = np.empty((len(out), scores.shape[1]))
@@ -122,7 +119,7 @@ class CrossConformalScorer:
         self.spread_[self.spread_ == 0.0] = 1.0
         if self.design.uses_features:
             known = len(self.design.run_features) / WELL_KNOWN
-            self.spread_[np.isin(self.levels_, OF_SIGNALS)] *= 1.0 + known
+            self.spread_[np.isin(self.levels_, run_scorer.OF_SIGNALS)] *= 1.0 + known
         centre, mad = _median_and_mad(self._combined(by_level))
         self.centre_ = self.centre_ + centre * self.spread_
         self.spread_ = self.spread_ * np.where(mad > 0.0, mad, 1.0)
@@ -239,9 +236,9 @@ class CrossConformalScorer:
         weights = np.ones((len(counts), len(self.levels_)))
         if self.lengths is None:
             return weights
-        of_whole = np.array([level not in OF_WINDOWS for level in self.levels_])
+        of_whole = np.array([level not in run_scorer.OF_WINDOWS for level in self.levels_])
         weights[:, of_whole] = np.sqrt(np.minimum(counts / self.lengths[0], 1.0))[:, np.newaxis]
-        reaching = np.array([level in WHOLE_SIGNALS for level in self.levels_])
+        reaching = np.array([level in run_scorer.WHOLE_SIGNALS for level in self.levels_])
         if not reaching.all():
             weights[np.ix_(is_outside(counts, self.lengths), reaching)] = 0.0
         return weights

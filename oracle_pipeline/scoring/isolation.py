@@ -102,37 +102,6 @@ class Reading(NamedTuple):
     check: Check | None = None
 
 
-def extract_isolated(
-    path: Path,
-    manager: FeatureManager,
-    limits: Limits = DEFAULT_LIMITS,
-    reading: Reading = Reading(),  # noqa: B008 -- immutable
-) -> list[Extracted]:
-    """Compute the features of a recording in another process.
-
-    Parameters
-    ----------
-    path : Path
-        A run directory or a bag.
-    manager : FeatureManager
-        As returned by `build_manager`; the process builds its own with the same plugins.
-    limits : Limits
-        Of that process.
-    reading : Reading
-
-    Returns
-    -------
-    list of Extracted
-        One for each robot.
-
-    Raises
-    ------
-    OracleError
-        If the recording cannot be read, or its process died or exceeded the limits.
-    """
-    return run_isolated(partial(extracted, plugins=manager.folder, reading=reading), path, limits)
-
-
 def extract_each(
     paths: Sequence[Path],
     manager: FeatureManager,
@@ -142,7 +111,17 @@ def extract_each(
 ) -> Iterator[tuple[Path, list[Extracted] | OracleError]]:
     """Yield the features of recordings, or what is wrong with one, with a bar on the terminal.
 
-    Parameters are those of `extract_isolated`.
+    Parameters
+    ----------
+    paths : sequence of Path
+        Run directories or bags.
+    manager : FeatureManager
+        As returned by `build_manager`; each process builds its own with the same plugins.
+    limits : Limits
+        Of each process.
+    reading : Reading
+    desc : str
+        Text before the bar.
     """
     work = partial(extracted, plugins=manager.folder, reading=reading)
     found = isolated_each([(work, path) for path in paths], limits)
@@ -155,7 +134,7 @@ def extracted(
     plugins: Path | None = None,
     reading: Reading = Reading(),  # noqa: B008 -- immutable
 ) -> list[Extracted]:
-    """Compute the features of a recording in this process; otherwise as `extract_isolated`."""
+    """Compute the features of a recording in this process, for each of its robots."""
     with open_run(path, strict=reading.strict) as run:
         manager = build_manager(plugins)
         return [

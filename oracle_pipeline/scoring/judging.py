@@ -21,6 +21,7 @@ from oracle_pipeline.detectors import SignalScaler, by_family, explain
 from oracle_pipeline.features import FeatureManager, FeatureTables
 from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.roles_file import RoleChoices
+from oracle_pipeline.scoring import isolation
 from oracle_pipeline.scoring.alarms import RATE_PER_H, Alarm, AlarmRule, AlarmWatch
 from oracle_pipeline.scoring.blocks import PER_SEED
 from oracle_pipeline.scoring.card import ReferenceCard
@@ -29,14 +30,6 @@ from oracle_pipeline.scoring.conformal import adjusted_for_suite, runs_needed
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.evidence import farthest_features, window_series
-from oracle_pipeline.scoring.isolation import (
-    DEFAULT_LIMITS,
-    Check,
-    Extracted,
-    Limits,
-    Reading,
-    extract_each,
-)
 from oracle_pipeline.scoring.lengths import comparable_tables, is_outside
 from oracle_pipeline.scoring.likeness import LEAST, likeness
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
@@ -91,13 +84,13 @@ def score(
     reference: CardSource,
     manager: FeatureManager,
     far: float,
-    limits: Limits = DEFAULT_LIMITS,
+    limits: isolation.Limits = isolation.DEFAULT_LIMITS,
     *,
     strict: bool = False,
     choices: RoleChoices | None = None,
     hold_to_contract: bool = True,
     together: bool = False,
-    check: Check | None = None,
+    check: isolation.Check | None = None,
 ) -> list[Verdict]:
     """Judge recordings by comparison with normal runs, each by itself.
 
@@ -130,10 +123,10 @@ def score(
     known = reference.known
     if choices is None and reference.roles is not None:
         choices = reference.roles if known is None else replace(reference.roles, topics={})
-    reading = Reading(strict, choices, known, check=check)
+    reading = isolation.Reading(strict, choices, known, check=check)
     paths = [each for path in recordings for each in list(recordings_below(path)) or [path]]
     verdicts: list[Verdict] = []
-    for path, robots in extract_each(paths, manager, limits, reading):
+    for path, robots in isolation.extract_each(paths, manager, limits, reading):
         if isinstance(robots, Exception):
             verdicts.append(Verdict(str(path), "error", error=str(robots)))
         else:
@@ -203,7 +196,7 @@ def _unsupported(blocks: int, size: int, far: float) -> str:
     return alone + (" Or judge each by itself, without --suite." if size > 1 else "")
 
 
-def _judge_robot(extracted: Extracted, reference: CardSource) -> Verdict:
+def _judge_robot(extracted: isolation.Extracted, reference: CardSource) -> Verdict:
     recording, tables, seen, origin, faults = extracted
     tables = tables._replace(run=tables.run.assign(seed=origin.seed))
     try:

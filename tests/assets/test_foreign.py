@@ -304,7 +304,7 @@ def test_a_recording_removed_before_its_run_is_an_error(watched: Watched) -> Non
     data = failed.failure_data_for_node("judge_recordings")
     assert data is not None
     assert data.user_failure_data is not None
-    assert "was removed or renamed" in str(data.user_failure_data.description)
+    assert "were removed or renamed" in str(data.user_failure_data.description)
 
 
 def test_the_check_can_run_again_without_judging(watched: Watched, place: Path) -> None:

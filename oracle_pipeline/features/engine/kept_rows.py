@@ -9,13 +9,8 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import MOST_KEPT
+from oracle_pipeline.features.engine import memory
 from oracle_pipeline.features.engine.columns import ColumnSource
-from oracle_pipeline.features.engine.memory import (
-    MemoryBudget,
-    size_of_array,
-    size_of_row,
-    size_of_rows,
-)
 from oracle_pipeline.features.engine.plugin import Request, Series
 from oracle_pipeline.features.engine.spans import Integers, Span
 
@@ -51,7 +46,7 @@ Carried: TypeAlias = Mapping[tuple[str, Any], _TimedRows]
 class KeptRows:
     """The rows that one request keeps of one topic."""
 
-    def __init__(self, request: Request, budget: MemoryBudget) -> None:
+    def __init__(self, request: Request, budget: memory.MemoryBudget) -> None:
         self.request = request
         self.as_scan = False  # a point cloud is converted to a planar scan
         self.error = ""  # why this topic cannot be used
@@ -71,7 +66,7 @@ class KeptRows:
         except Exception as error:  # foreign code
             self.skip(f"{type(error).__name__}: {error}")
             return
-        if row is not None and self._fits(size_of_row(row, size)):
+        if row is not None and self._fits(memory.size_of_row(row, size)):
             self._rows.append(row)
             self._numbers.append(number)
 
@@ -91,7 +86,9 @@ class KeptRows:
                 self.add_many(numbers[row : row + 1], messages.some(np.array([row])))
             return
         is_array = isinstance(rows, np.ndarray)
-        if self._fits(size_of_array(rows) if is_array else size_of_rows(kept, messages.data)):
+        if self._fits(
+            memory.size_of_array(rows) if is_array else memory.size_of_rows(kept, messages.data)
+        ):
             if is_array:
                 self._blocks.append(rows)
             else:

@@ -6,15 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import pandas as pd
 
+from oracle_pipeline import datasets
 from oracle_pipeline.bags.terminal import aligned_lines
-from oracle_pipeline.datasets import (
-    MISSING,
-    WHERE,
-    WINDOW_START,
-    feature_columns,
-    field_metadata,
-    signal_columns,
-)
 
 _PLAIN_UNIT = "1"  # of a share, a ratio or a count
 
@@ -39,14 +32,14 @@ def as_text(table: pd.DataFrame, notes: Sequence[str] = ()) -> str:
 
 
 def _features(name: str, rows: pd.DataFrame) -> Iterator[str]:
-    of_windows = WINDOW_START in rows
-    units = {column: field["unit"] for column, field in field_metadata(rows).items()}
-    columns = feature_columns(rows)
+    of_windows = datasets.WINDOW_START in rows
+    units = {column: field["unit"] for column, field in datasets.field_metadata(rows).items()}
+    columns = datasets.feature_columns(rows)
     computed = [column for column in columns if rows[column].notna().any()]
     windows = f" in {len(rows)} windows of 5 s" if of_windows else ""
-    signals = len({column.rpartition(".")[0] for column in signal_columns(rows)})
+    signals = len({column.rpartition(".")[0] for column in datasets.signal_columns(rows)})
     yield f"{name}: {len(computed)} of {len(columns)} features, {signals} signals{windows}"
-    where = json.loads(rows[WHERE].iloc[0])
+    where = json.loads(rows[datasets.WHERE].iloc[0])
     lines: list[tuple[str, ...]]
     if of_windows:
         lines = [("feature", "smallest", "median", "largest", "unit")]
@@ -61,7 +54,7 @@ def _features(name: str, rows: pd.DataFrame) -> Iterator[str]:
             for column in computed
         ]
     yield from aligned_lines(lines)
-    reasons = json.loads(rows[MISSING].iloc[-1])
+    reasons = json.loads(rows[datasets.MISSING].iloc[-1])
     absent = Counter(
         (column.partition(".")[0], reasons[column])
         for column in columns

@@ -25,13 +25,7 @@ from oracle_pipeline.features.geometry.scanner_setup import (
 )
 from oracle_pipeline.features.geometry.scans import Floats, Ints, in_blocks
 from oracle_pipeline.features.geometry.transform_tree import SensorMount
-from oracle_pipeline.features.statistics.reduction import (
-    largest,
-    mean,
-    quantile,
-    row_medians,
-    within,
-)
+from oracle_pipeline.features.statistics import reduction
 from oracle_pipeline.features.statistics.times import nearest
 
 _SCANNER_FEATURES = (
@@ -100,17 +94,17 @@ def _compute_scanners(window: fp.Window) -> fp.Values:
     residual, contradicted, persistence = {}, {}, {}
     reason = apart
     for pair, comparison in comparisons.items():
-        residual[pair] = quantile(comparison.residual, window, 0.5)
-        contradicted[pair] = quantile(comparison.contradicted, window, 0.95)
+        residual[pair] = reduction.quantile(comparison.residual, window, 0.5)
+        contradicted[pair] = reduction.quantile(comparison.contradicted, window, 0.95)
         if isinstance(comparison.hits, fp.Missing):
             reason = comparison.hits.reason
         else:
-            scans = within(comparison.residual.times_s, window)
+            scans = reduction.within(comparison.residual.times_s, window)
             persistence[pair] = comparison.hits.persistence(scans)
     return {
-        "scan_residual": largest(residual, apart),
-        "scan_contradicted": largest(contradicted, apart),
-        "scan_persistence": largest(persistence, reason),
+        "scan_residual": reduction.largest(residual, apart),
+        "scan_contradicted": reduction.largest(contradicted, apart),
+        "scan_persistence": reduction.largest(persistence, reason),
     }
 
 
@@ -133,12 +127,12 @@ def _compute_ranges(window: fp.Window) -> fp.Values:
     for pair, (times_s, beyond_m) in differences.items():
         size = np.abs(beyond_m)
         beyond = np.where(np.isnan(size), np.nan, size > CLOSER_M)
-        residual[pair] = quantile(fp.Series(times_s, size), window, 0.5)
-        contradicted[pair] = mean(fp.Series(times_s, beyond), window)
+        residual[pair] = reduction.quantile(fp.Series(times_s, size), window, 0.5)
+        contradicted[pair] = reduction.mean(fp.Series(times_s, beyond), window)
     silent = "no laser scan covers the field of view of a range sensor at the same time"
     return {
-        "range_residual": largest(residual, silent),
-        "range_contradicted": largest(contradicted, silent),
+        "range_residual": reduction.largest(residual, silent),
+        "range_contradicted": reduction.largest(contradicted, silent),
     }
 
 
@@ -182,7 +176,7 @@ def _compared_with(setup: ScannerSetup, suspect: str, other: str, most_hits: int
         seen = project(some, in_reference.at(part))
         agreed = agreement(seen, reference.rows(reference_rows[part]))
         counter.add(project(some, placed.at(part)), agreed.contradicted, part.start)
-        return row_medians(agreed.residual), agreed.contradicted_share()
+        return reduction.row_medians(agreed.residual), agreed.contradicted_share()
 
     residual, contradicted = in_blocks(len(rows), scans.rays, compared)
     times_s = scans.times_s[rows]

@@ -15,8 +15,8 @@ from oracle_pipeline.cli import main
 from oracle_pipeline.datasets import KEYS, Fields, feature_columns, feature_floors, write_table
 from oracle_pipeline.features import FeatureTables, build_manager, extract
 from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.scoring import isolation
 from oracle_pipeline.scoring.card import ReferenceCard
-from oracle_pipeline.scoring.isolation import extract_isolated
 from oracle_pipeline.scoring.judging import judge
 from oracle_pipeline.scoring.learning import Cards, learn
 from oracle_pipeline.scoring.output import as_json, as_text, card_as_text
@@ -318,8 +318,8 @@ def test_recordings_that_crash_their_process_are_errors_in_junit(bags, reference
 @pytest.fixture
 def card(bags, normal, tmp_path) -> Path:
     """A card with the contract of the usual bag, and an attacked run that is to be left out."""
-    (usual,) = extract_isolated(bags["usual"], build_manager())
-    (attacked,) = extract_isolated(bags["spinning"], build_manager())
+    (usual,) = isolation.extracted(bags["usual"])
+    (attacked,) = isolation.extracted(bags["spinning"])
     topics = {**attacked.observation.topics, "/spy": ("std_msgs/msg/String", (), None)}
     seen = [usual.observation] * len(normal) + [replace(attacked.observation, topics=topics)]
     labels = ["normal"] * len(normal) + ["malicious"]
@@ -330,7 +330,7 @@ def card(bags, normal, tmp_path) -> Path:
 
 
 def test_terms_that_several_normal_recordings_break_are_noted_in_the_card(bags, normal):
-    (usual,) = extract_isolated(bags["usual"], build_manager())
+    (usual,) = isolation.extracted(bags["usual"])
     names = [f"field{number}" for number in range(len(normal) // 10)]
     steady = dict.fromkeys(names, "1")
     fields = [{**steady, name: "2"} for name in names] + [steady] * (len(normal) - len(names))
