@@ -25,7 +25,7 @@ from resources.store import RunStore
 if TYPE_CHECKING:
     import pandas as pd
 
-    from oracle_pipeline.features import FeatureTables
+    from oracle_pipeline.bags.arrivals import Arrival
     from oracle_pipeline.scoring.kept_verdicts import KeptVerdict
 
 ARRIVALS = dg.DynamicPartitionsDefinition(name="arrivals")  # batches, by the time of the request
@@ -107,55 +107,15 @@ def judge_recordings(
     context: dg.OpExecutionContext, config: JudgeConfig, store: RunStore, inbox: Inbox
 ) -> Iterator[dg.AssetMaterialization | dg.AssetCheckEvaluation | dg.Output[None]]:
     """Judge the recordings of a batch, and update the table and the page of all."""
-    from assets.worker.arrival_verdict import judge_arrivals
-    from oracle_pipeline.bags.arrivals import arrivals
     from oracle_pipeline.reporting.trend import trend
-    from oracle_pipeline.scoring.isolation import Limits
-    from oracle_pipeline.scoring.kept_verdicts import add_verdicts, verdict_rows
 
     batch = context.partition_key
     store.require_writable()
     with clear_failures():
-        rows = verdict_rows(store.path)
-        wanted = set(config.recordings or rows.loc[rows["batch"] == batch, "key"])
-        found = arrivals(inbox.path, wanted).found
-        if gone := ", ".join(sorted(wanted - {each.key for each in found})):
-            context.log.warning(f"{inbox.path} has no recording {gone}: removed or renamed.")
-        if not found:
-            raise dg.Failure(
-                f"No recording of this batch is in {inbox.path}: they were removed or renamed. Put "
-                "them back, or give other recordings in the configuration.",
-                allow_retries=False,
-            )
-        limits = Limits(config.time_limit, config.memory_limit)
-        work = judge_arrivals(found, store.path, inbox.card_path, config.far, limits, batch)
-        judged: list[KeptVerdict] = []
-        tables: list[FeatureTables] = []
-        try:
-            for kept, of_one in work:
-                judged.append(kept)
-                tables += [] if of_one is None else [of_one]
-                context.log.info(
-                    f"{len(judged)} of {len(found)} judged: {kept.verdict.recording} is "
-                    f"{kept.verdict.outcome}."
-                )
-        finally:  # what is finished is kept
-            rows = add_verdicts(store.path, judged)
+        rows, features = _judged(context, config, store, inbox)
         own = rows[rows["batch"] == batch]
-        if tables:
-            yield _materialized(
-                FOREIGN_FEATURES,
-                batch,
-                {
-                    "path": dg.MetadataValue.path(str(store.path / layout.FOREIGN)),
-                    "recordings": len(tables),
-                    "windows": sum(len(each.windows) for each in tables),
-                    "dagster/row_count": len(tables),
-                    "dagster/column_schema": dg.MetadataValue.table_schema(
-                        presentation.columns(tables[0].run)
-                    ),
-                },
-            )
+        if features:
+            yield _materialized(FOREIGN_FEATURES, batch, features)
         yield _materialized(FOREIGN_VERDICTS, batch, _facts(own, inbox, store))
         yield _evaluation(
             batch, own, latest_materialization(context.instance, FOREIGN_VERDICTS.key, batch)
@@ -200,6 +160,65 @@ def checks_of_arrivals(
     for batch, own in batches.items():
         yield _evaluation(batch, own, targets.get(batch))
     yield dg.Output(None, output_name=IS_NORMAL.get_python_identifier())
+
+
+def _judged(
+    context: dg.OpExecutionContext, config: JudgeConfig, store: RunStore, inbox: Inbox
+) -> "tuple[pd.DataFrame, Figures]":
+    """Judge the recordings of a batch; return the table of all verdicts, and facts on features."""
+    from assets.worker.arrival_verdict import judge_arrivals
+    from oracle_pipeline.scoring.isolation import Limits
+    from oracle_pipeline.scoring.kept_verdicts import add_verdicts
+
+    found = _arrivals(context, config, store, inbox)
+    limits = Limits(config.time_limit, config.memory_limit)
+    work = judge_arrivals(
+        found, store.path, inbox.card_path, config.far, limits, context.partition_key
+    )
+    verdicts: list[KeptVerdict] = []
+    features: Figures = {}
+    recordings = windows = 0
+    try:
+        for kept, tables in work:
+            verdicts.append(kept)
+            context.log.info(
+                f"{len(verdicts)} of {len(found)} judged: {kept.verdict.recording} is "
+                f"{kept.verdict.outcome}."
+            )
+            if tables is not None:
+                recordings, windows = recordings + 1, windows + len(tables.windows)
+                features = {
+                    "path": dg.MetadataValue.path(str(store.path / layout.FOREIGN)),
+                    "windows": windows,
+                    "dagster/row_count": recordings,
+                    "dagster/column_schema": dg.MetadataValue.table_schema(
+                        presentation.columns(tables.run)
+                    ),
+                }
+    finally:  # what is finished is kept
+        rows = add_verdicts(store.path, verdicts)
+    return rows, features
+
+
+def _arrivals(
+    context: dg.OpExecutionContext, config: JudgeConfig, store: RunStore, inbox: Inbox
+) -> "list[Arrival]":
+    """Return the recordings of a batch that are in the inbox."""
+    from oracle_pipeline.bags.arrivals import arrivals
+    from oracle_pipeline.scoring.kept_verdicts import verdict_rows
+
+    rows = verdict_rows(store.path)
+    wanted = set(config.recordings or rows.loc[rows["batch"] == context.partition_key, "key"])
+    found = arrivals(inbox.path, wanted).found
+    if gone := ", ".join(sorted(wanted - {each.key for each in found})):
+        context.log.warning(f"{inbox.path} has no recording {gone}: removed or renamed.")
+    if not found:
+        raise dg.Failure(
+            f"No recording of this batch is in {inbox.path}: they were removed or renamed. Put "
+            "them back, or give other recordings in the configuration.",
+            allow_retries=False,
+        )
+    return found
 
 
 def _materialized(spec: dg.AssetSpec, batch: str, metadata: Figures) -> dg.AssetMaterialization:

@@ -9,16 +9,9 @@ from sim.modes import modes
 
 # Settings that affect which runs are recorded and where; the command includes those that are set.
 REPEATED = (
-    "ORACLE_HOME",
-    "ORACLE_GOALS_PER_RUN",
-    "ORACLE_ARENA",
-    "ORACLE_NAV2",
-    "ORACLE_SESSIONS",
-    "ORACLE_NOISE_PER_RUN",
-    "ORACLE_SCENARIOS",
-    "ORACLE_TESTBEDS",
-    "ORACLE_ALLOW_ACTUATION",
-)
+    "ORACLE_HOME", "ORACLE_GOALS_PER_RUN", "ORACLE_ARENA", "ORACLE_NAV2", "ORACLE_SESSIONS",
+    "ORACLE_NOISE_PER_RUN", "ORACLE_SCENARIOS", "ORACLE_TESTBEDS", "ORACLE_ALLOW_ACTUATION",
+)  # fmt: skip
 
 
 def record_command(wanted: Sequence[str], blocks: int, testbed: str) -> str:

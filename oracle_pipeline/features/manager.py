@@ -46,30 +46,11 @@ from oracle_pipeline.features.traffic import (
 FOLDER_VARIABLE = "ORACLE_PLUGINS"
 
 _BUILT_IN = (
-    structural,
-    odometry,
-    laser_ranges,
-    goals,
-    thesis_features,
-    message_traffic,
-    generic,
-    topic_pairs,
-    redundancy,
-    scan,
-    scan_noise,
-    permanence,
-    kinematics,
-    transforms,
-    delays,
-    map_consistency,
-    costmap_consistency,
-    progress,
-    velocity,
-    localisation,
-    local_costmap,
-    adsb_reports,
-    fused_tracks,
-)
+    structural, odometry, laser_ranges, goals, thesis_features, message_traffic, generic,
+    topic_pairs, redundancy, scan, scan_noise, permanence, kinematics, transforms, delays,
+    map_consistency, costmap_consistency, progress, velocity, localisation, local_costmap,
+    adsb_reports, fused_tracks,
+)  # fmt: skip
 
 _log = logging.getLogger(__name__)
 

@@ -265,7 +265,7 @@ def test_each_recording_gets_its_verdict_and_a_bad_one_does_not_block_others(
     assert [line.split(":")[0] for line in lines] == ["error", "anomalous"]
     assert r"spinning \udcff|...\x1b[2J" in lines[1]
     assert watched.laboratory.materialized("foreign_features") == {"now"}
-    assert watched.laboratory.figures("foreign_features", "now")["recordings"] == 2
+    assert watched.laboratory.figures("foreign_features", "now")["dagster/row_count"] == 2
     figures = watched.laboratory.figures("foreign_verdicts", "now")
     assert {name: figures[name] for name in ("anomalous", "error", "normal")} == {
         "anomalous": 1, "error": 1, "normal": 1
