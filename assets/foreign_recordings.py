@@ -67,7 +67,7 @@ FOREIGN_REPORT = dg.AssetSpec(
     kinds={"oracle", "jinja"},
     **declared("campaign", "report/foreign.html"),
     code_version=analysis_code("oracle_pipeline.reporting.arrivals_page"),
-    description="""The newest and the oddest recordings that arrived, and the trend of their scores.
+    description="""The newest and the most unusual recordings that arrived, and a trend of scores.
 
 `<root>/report/foreign.html`, beside the report on the campaign, which links to it.""",
 )
@@ -121,7 +121,7 @@ def judge_recordings(
             batch, own, latest_materialization(context.instance, FOREIGN_VERDICTS.key, batch)
         )
         page, scores = _write_page(store, rows), trend(rows)
-    context.log.info(f"Of {len(rows)} verdicts in all, {page} shows the newest and the oddest.")
+    context.log.info(f"{page} shows the newest and the most unusual of {len(rows)} recordings.")
     yield dg.AssetMaterialization(
         FOREIGN_REPORT.key,
         metadata={
@@ -231,7 +231,7 @@ def _materialized(spec: dg.AssetSpec, batch: str, metadata: Figures) -> dg.Asset
 
 
 def _facts(rows: "pd.DataFrame", inbox: Inbox, store: RunStore) -> Figures:
-    """Return the verdicts of a batch as metadata, the oddest first."""
+    """Return the verdicts of a batch as metadata, the most unusual first."""
     shown = rows.sort_values("score", ascending=False, kind="stable").head(SHOWN)
     return {
         **{str(outcome): int(n) for outcome, n in rows["outcome"].value_counts().items()},

@@ -104,7 +104,7 @@ def checks_of_runs(
 def _subjects(
     name: str, partitions: Mapping[str, Sequence[RunDirectory]]
 ) -> Iterable[tuple[RunDirectory, ...]]:
-    """Return the runs that each inspection of a kind looks at."""
+    """Return the runs that each inspection of a kind compares."""
     if name in OF_TABLES:
         return [tuple(runs) for runs in partitions.values()]
     runs = [run for of in partitions.values() for run in of]

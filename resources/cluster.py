@@ -23,7 +23,7 @@ from sim.worker_pool import JobTimeoutError, limit_from_environment
 R = TypeVar("R")
 
 PATIENCE_S = 60  # timeout for the scheduler, and for the first worker
-LOST_S = 600  # the same, once they were there: until somebody has started them again
+LOST_S = 600  # the same, once they were there: until they are started again
 LAST_WORDS_S = 2.0  # in which a worker that is about to end reports why
 
 _LOG = logging.getLogger("distributed.worker")  # of a worker; its settings are Dask's

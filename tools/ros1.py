@@ -1,4 +1,4 @@
-"""Judges a ROS 1 system of nodes that nobody here wrote, with faults: ``python -m tools.ros1``.
+"""Judges a ROS 1 system of nodes by other people, with faults: ``python -m tools.ros1``.
 
 It needs Debian's ``ros-base ros-robot-state-publisher joint-state-publisher topic-tools
 libfaketime``. An arm's joints move, its states are published, relayed and throttled, and the real
@@ -77,10 +77,10 @@ def _environment(work: Path) -> dict[str, str]:
 
 
 def _started(
-    work: Path, *command: str, said: Path | None = None, more: Mapping[str, str] | None = None
+    work: Path, *command: str, stdin: Path | None = None, more: Mapping[str, str] | None = None
 ) -> "subprocess.Popen[bytes]":
-    """Start a program; a file may be said to it."""
-    with Path(said or os.devnull).open("rb") as source:
+    """Start a program; a file may be its standard input."""
+    with Path(stdin or os.devnull).open("rb") as source:
         return subprocess.Popen(
             command, env=_environment(work) | dict(more or {}), stdin=source,
             start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
@@ -157,7 +157,7 @@ def _nodes(work: Path) -> Iterator[tuple[str, "subprocess.Popen[bytes]"]]:
     of_tools, wanted = "/usr/lib/topic_tools", work / "wanted.yaml"
     pub = "rostopic", "pub", "-r", str(_RATE_HZ)
     yield "talker", _started(work, *pub, "/chatter", "std_msgs/String", "data: hello")
-    yield "wanted", _started(work, *pub, "/wanted", "sensor_msgs/JointState", said=wanted)
+    yield "wanted", _started(work, *pub, "/wanted", "sensor_msgs/JointState", stdin=wanted)
     yield "joints", _started(work, "/usr/lib/joint_state_publisher/joint_state_publisher")
     yield "state", _started(work, "/usr/lib/robot_state_publisher/robot_state_publisher")
     yield "relay", _started(work, f"{of_tools}/relay", "/joint_states", "/copied")

@@ -30,7 +30,7 @@ from oracle_pipeline.scoring.isolation import Reading, extracted
 from oracle_pipeline.scoring.judging import judge
 from oracle_pipeline.scoring.verdict import Verdict
 
-FEATURES = "features"  # what is held against a recording by its p-value
+FEATURES = "features"  # what its p-value says against a recording
 _APART = 1_000_000  # added to blocks of other recordings: the same number is not the same task
 
 

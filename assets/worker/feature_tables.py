@@ -88,7 +88,7 @@ def _inputs(manifest: Manifest) -> str:
 
 
 def _figures(df: "pd.DataFrame", place: Path) -> Figures:
-    """Return the figures of a table, which do not change until it is made again."""
+    """Return the figures of a table, which do not change until it is computed again."""
     from oracle_pipeline.datasets import MISSING, content_hash, feature_columns
 
     reasons = [json.loads(row) for row in df[MISSING]]

@@ -149,7 +149,7 @@ def _read(root: Path, mode: str, name: str) -> KeptTables | None:
     table = layout.feature_table(root, "run", mode, name)
     place = _record(table)
     stamp = _stamp(place)
-    missing = stamp == _NOTHING or not table.is_file()  # somebody may have deleted the table
+    missing = stamp == _NOTHING or not table.is_file()  # another process may have deleted it
     content = None if missing else _content(place, stamp)
     return KeptTables(root, mode, name, content["runs"], content["tables"]) if content else None
 

@@ -2,8 +2,8 @@
 
 A module counts by its syntax tree, without comments, docstrings and layout. The imports, those
 inside functions too, are followed through the four packages of the distribution, and through that
-of a plug-in; nothing is imported for it. Trees are not read again while a file stays the same: what
-was found in it is kept in the user's cache folder.
+of a plug-in; nothing is imported for it. Trees are not read again while a file stays the same: its
+findings are kept in the user's cache folder.
 """
 
 import ast
@@ -28,7 +28,7 @@ _PACKAGE = "__init__.py"
 # Fields of a syntax tree that follow from the rest, or mean nothing.
 _REDUNDANT = frozenset({"ctx", "kind", "type_comment", "type_ignores"})
 
-_Identity: TypeAlias = list[int]  # of a file that nobody changed: times, size and inode
+_Identity: TypeAlias = list[int]  # of an unchanged file: times, size and inode
 
 
 class _Module(NamedTuple):
@@ -217,7 +217,7 @@ class _Modules:
         return _Module(*kept[name][1:])
 
     def _kept(self) -> dict[str, tuple[_Identity, str, list[str]]]:
-        """Return what was found in modules, before the first use that of former processes."""
+        """Return the findings in modules, before the first use that of former processes."""
         if not self._found:
             with contextlib.suppress(OSError, ValueError):  # none yet, or damaged
                 self._found = json.loads(_kept_at().read_bytes())

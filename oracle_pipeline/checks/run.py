@@ -26,7 +26,7 @@ CHECKS: Mapping[str, Callable[[CheckedTopic], Iterator[Fault]]] = {
     "counter": values.counters,  # and "lost"
 }
 _FEWEST_TOPICS = 3  # a gap in these may be one of the recording
-_MOST_TOLD = 5  # faults that are told beside a verdict
+_MOST_NOTED = 5  # faults that are noted beside a verdict
 
 
 @np.errstate(invalid="ignore")  # recordings hold NaN and infinity
@@ -59,8 +59,8 @@ def check_recording(path: Path, *, strict: bool = False) -> list[Fault]:
 def fault_sentences(recording: KeptMessages, collector: SignalCollector) -> list[str]:
     """Return the faults of a recording that was read for its features, as sentences."""
     found = sorted(_faults(recording, collector), key=_order)
-    told = [f"Check: {fault.topic or 'all topics'}: {fault.text}." for fault in found[:_MOST_TOLD]]
-    more = [f"`oracle check` tells {len(found) - _MOST_TOLD} more."] if found[_MOST_TOLD:] else []
+    told = [f"Check: {fault.topic or 'all topics'}: {fault.text}." for fault in found[:_MOST_NOTED]]
+    more = [f"`oracle check` tells {len(found) - _MOST_NOTED} more."] if found[_MOST_NOTED:] else []
     return [*told, *more]
 
 

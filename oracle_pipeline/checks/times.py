@@ -54,7 +54,7 @@ def stamps(topic: CheckedTopic) -> Iterator[Fault]:
 
 
 def steps_back(set_back: Iterable[tuple[float, float]]) -> Iterator[Fault]:
-    """Tell when the recorder's clock was set back: `Timeline.set_back`."""
+    """Yield when the recorder's clock was set back: `Timeline.set_back`."""
     for at_s, by_s in set_back:
         text = f"the recorder's clock was set back by {by_s:.4g} s at {at_s:.2f} s"
         yield Fault("clock", "", "", at_s, at_s, by_s, "s", 1, text)

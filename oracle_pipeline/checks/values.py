@@ -25,7 +25,7 @@ _VELOCITIES = ("m/s", "rad/s")
 _MOTION = ("nav_msgs/", "geometry_msgs/", "tf2_msgs/", "ackermann_msgs/", "sensor_msgs/msg/Joint")
 _PLACES = ("x", "y", "z", "latitude", "longitude")
 _JUMP, _USUAL = 30.0, 0.99  # a jump, in steps of this quantile
-_FASTEST = 5.0  # slower than this no jump of a position is told [m/s]
+_FASTEST = 5.0  # slower than this no jump of a position is reported [m/s]
 _METRES_PER_DEGREE = 111_320.0
 _EQUAL_SHARE, _EQUAL_RUN, _DISTINCT = 0.05, 10, 50  # of a saturated signal
 _MEASURED = ("m/s^2", "rad/s", "N", "N m", "T", "A", "V")
@@ -79,7 +79,7 @@ def _moves(lively: list[CheckedSignal], row: int) -> bool:
 def jumps(topic: CheckedTopic) -> Iterator[Fault]:
     """Find places that jump: steps far larger than nearly all others, after which they stay.
 
-    Only places are looked at, since velocities and forces may change at once.
+    Only places are inspected, since velocities and forces may change at once.
     """
     for signal in signals_of(topic):
         if not _is_place(topic, signal) or len(signal.values) < 4 * FEWEST:

@@ -294,7 +294,7 @@ class _Extraction:
         return row
 
     def windows(self, keys: Mapping[str, Any], spans: list[Span], signals: SignalTable) -> Table:
-        """Return the features of windows, a row each."""
+        """Return the features of windows, one row per window."""
         rows = [self.row(span, per_window=True) for span in spans]
         for span, row in zip(spans, rows, strict=True):
             row.add_signals(signals, span, per_window=True)

@@ -22,7 +22,7 @@ class Received(NamedTuple):
     topic: str
     sent_ns: int  # by the sender's clock [ns since 1970]
     wall_ns: int  # when it arrived, by our clock [ns since 1970]
-    steady_ns: int  # the same by our steady clock, which nobody sets [ns]
+    steady_ns: int  # the same by our steady clock, which is never set [ns]
     writer: int  # handle of the endpoint that sent it
     data: bytes  # CDR with its encapsulation header
 

@@ -46,7 +46,7 @@ class Segment:
     Attributes
     ----------
     disturbances : Disturbances
-        What it lacks, and when it was disturbed.
+        Missing values, and when it was disturbed.
     """
 
     def __init__(

@@ -8,7 +8,7 @@ ticks.
 
 A clock that is set by more than a window, and a ``/clock`` that falls silent, are steps: what comes
 after one belongs to another recording. How long something took is measured by the steady clock of
-this machine, which nobody sets.
+this machine, which is never set.
 """
 
 import struct
@@ -42,7 +42,7 @@ class Stamped(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Time was set, or is another one from here on."""
+    """Time was set, or has changed to another one."""
 
     reason: str
 

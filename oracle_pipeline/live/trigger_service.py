@@ -1,7 +1,7 @@
 """A ``std_srvs/srv/Trigger`` on a DDS domain, by which a robot asks to keep the time around now.
 
-ROS 2 has no services on DDS, only a pair of topics. Which call a reply belongs to is said in front
-of the message by Cyclone DDS's implementation of ROS 2 [1]_, and beside it by the others. Python
+ROS 2 has no services on DDS, only a pair of topics. Which call a reply belongs to is in front of
+the message by Cyclone DDS's implementation of ROS 2 [1]_, and beside it by the others. Python
 has no access to the latter, so only clients of the former get an answer.
 
 References

@@ -1,4 +1,4 @@
-"""The page on recordings from the inbox: the newest, the oddest, and the trend of scores.
+"""The page on recordings from the inbox: the newest, the most unusual, and the trend of scores.
 
 One self-contained HTML file beside the report, from ``templates/arrivals.html.j2``.
 """
@@ -15,7 +15,7 @@ from oracle_pipeline.scoring.kept_verdicts import KeptVerdict
 from oracle_pipeline.scoring.output import family_as_text
 from oracle_pipeline.scoring.verdict import Judgement
 
-SHOWN = 50  # of the newest recordings, and of the oddest
+SHOWN = 50  # of the newest recordings, and of the most unusual
 CAPTION = (
     "Scores night by night: 0 is the median of normal recordings, 1 their spread. Scores by "
     "different cards do not compare."

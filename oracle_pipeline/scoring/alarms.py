@@ -150,7 +150,7 @@ class AlarmWatch:
         return Alarm(end_s, statistic, self.rule.threshold)
 
     def _is_news(self, excess: float, families: Sequence[str]) -> bool:
-        """Return whether a window alone would raise an alarm, and is not what was told."""
+        """Return whether a window alone would raise an alarm, and is not what was raised before."""
         known = max(self._highest, self.rule.threshold)
         is_other = bool(families) and families[0] not in self._told
         return excess > (self.rule.threshold if is_other else MUCH_HIGHER * known)

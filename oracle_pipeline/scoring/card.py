@@ -4,7 +4,7 @@ A card is a ZIP of JSON and Parquet: ``card.json`` describes the content, ``runs
 features of the normal recordings, ``models.parquet`` the fitted scorers, ``windows.parquet`` the
 scores of the normal windows. Reading a card executes nothing in it, and the checksums of the ZIP
 reveal damage. A card is read in a process with limits on time and memory, and all its parts are
-checked there, since it may come from anybody. A detector that a user
+checked there, since it may come from any source. A detector that a user
 named is not in the file: it is fitted again.
 """
 
@@ -208,7 +208,7 @@ def checked_card(path: Path) -> ReferenceCard:
                 raise ValueError(f"scorer {name}: {error}") from error
     except (CardError, MemoryError):
         raise
-    except Exception as error:  # whatever goes wrong, the file is at fault
+    except Exception as error:  # whatever fails, the file is at fault
         fault = f"{type(error).__name__} {error}" if isinstance(error, KeyError) else str(error)
         raise CardError(
             f"{path} is not a reference card, or is damaged: "

@@ -1,8 +1,8 @@
 """Checks the scorers of a reference card that was read: finite numbers, and parts that fit.
 
-A card may come from anybody. ``card.schema.json`` describes its facts. Here its arrays are compared
-with each other, and the scorers are tried: they have to score the normal recordings as they did
-when they were learned, and to notice a recording that is far from normal in everything.
+A card may come from any source. ``card.schema.json`` describes its facts. Here its arrays are
+compared with each other, and the scorers are tried: they have to score the normal recordings as
+they did when they were learned, and to notice a recording that is far from normal in everything.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """Verdicts on recordings that arrived: each as JSON beside its features, and a table of all.
 
 The table is what a sensor, a page or a trend reads, so that they cost the same for any number of
-recordings. It can be made again from the files.
+recordings. It can be computed again from the files.
 """
 
 import dataclasses

@@ -1,6 +1,6 @@
 """Which recordings of a reference count: normal ones, copies once, and none that is unlike all.
 
-A recording that went wrong, with recoveries or an attack by mistake, raises the score that others
+A recording that failed, with recoveries or an attack by mistake, raises the score that others
 must exceed. Up to a tenth of the recordings are set aside if their scores are far above all others.
 """
 

@@ -13,7 +13,7 @@ from oracle_pipeline.datasets import SIGNALS, topic_of_signal
 from oracle_pipeline.scoring.verdict import Evidence, Verdict
 
 _ROUNDING = 1e-12  # below all that features resolve
-FAR_OUT = 10.0  # distance of a feature that is told with a normal verdict too [scales]
+FAR_OUT = 10.0  # distance of a feature that is reported with a normal verdict too [scales]
 _CLEAR = 0.5  # evidence with a phrase is preferred down to this share of the largest distance
 _AGAINST = " against "  # between two places
 _PHRASES: Mapping[str, str] = yaml.safe_load(

@@ -1,4 +1,4 @@
-"""The nodes that tell where things are: transforms of the robot, and poses of objects."""
+"""The nodes that publish where things are: transforms of the robot, and poses of objects."""
 
 import itertools
 from collections.abc import Callable

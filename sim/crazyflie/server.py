@@ -1,6 +1,6 @@
 """Crazyswarm2's server: the topics of a Crazyflie over its radio.
 
-It hands on setpoints and poses of motion capture to the firmware, and publishes what this logs:
+It forwards setpoints and poses of motion capture to the firmware, and publishes what this logs:
 the default topics of Crazyswarm2, the log group ``controller`` and the motors as custom topics, and
 the inertial unit and the battery as other bridges do.
 """

@@ -34,7 +34,7 @@ def test_runs_of_a_partition_fail_alone_and_their_tables_are_one_file(tmp_path: 
     root = tmp_path / "data"
     bad = RunDirectory(root, MODE, 1)
     bad.path.mkdir(parents=True)
-    bad.manifest_path.write_text("{}")  # what is there is not overwritten
+    bad.manifest_path.write_text("{}")  # what exists is not overwritten
 
     left = materialized(tmp_path, FIRST, LAST, together=2)
     assert not left["success"]

@@ -1,1 +1,1 @@
-"""RobotBench: recordings of robots that nobody here simulated, judged by us and by baselines."""
+"""RobotBench: recordings of robots that we have not simulated, judged by us and by baselines."""

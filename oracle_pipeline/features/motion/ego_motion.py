@@ -363,7 +363,7 @@ def _posed(topic: str, series: Series) -> Motion:
 def _places(
     topics: Mapping[str, Mapping[str, Series]], clocks: Sequence[Motion]
 ) -> Iterator[Motion]:
-    """Yield the motion by told poses; those that are told seldom are goals, perhaps.
+    """Yield the motion by published poses; those that are rare are goals, perhaps.
 
     Poses without stamps get those of a clock's track.
     """

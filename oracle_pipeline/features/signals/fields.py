@@ -21,7 +21,7 @@ from oracle_pipeline.features.engine.common_fields import frame_names
 from oracle_pipeline.features.signals.units import UNITS
 
 MOST_ELEMENTS = 32  # of an array whose elements are signals; of longer ones there is a summary
-MOST_SUMMARISED = 2048  # numbers of an array that its summary looks at, spread evenly
+MOST_SUMMARISED = 2048  # numbers of an array that its summary samples, spread evenly
 MOST_DEPTH = 8  # of nested types
 SUMMARY = ("mean", "spread", "min", "max", "finite")
 _SKIPPED = {"builtin_interfaces/msg/Time", "std_msgs/msg/Header"}

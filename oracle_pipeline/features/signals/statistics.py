@@ -14,7 +14,7 @@ from oracle_pipeline.features.signals.units import period_of
 
 FEWEST = 4  # numbers of a signal that has more than a level
 ROUNDING = 1e-7  # of the largest magnitude: smaller deviations are rounding errors
-FEWEST_HELD = 30  # numbers of a signal that can be said to stand still
+FEWEST_HELD = 30  # numbers of a signal that can stand still
 
 _IN_UNIT = {
     "mean": "mean",

@@ -1,4 +1,4 @@
-"""A miss is a miss of the user: nothing in the whole verdict is held against the attacked run."""
+"""A miss is a miss of the user: nothing in the whole verdict counts against the attacked run."""
 
 from dataclasses import replace
 from typing import Any

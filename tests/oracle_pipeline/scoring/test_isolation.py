@@ -96,7 +96,7 @@ def meet(path):
 
 @pytest.mark.parametrize("threads", [False, True], ids=["a fork of this", "a fork of a server"])
 def test_a_process_is_a_fork_of_one_without_other_threads(threads, tmp_path):
-    """A fork of a process with threads might wait for ever for a lock that one of them holds."""
+    """A fork of a process with threads might wait indefinitely for a lock of one of them."""
     code = (
         "import os, threading; from pathlib import Path; "
         "from tests.oracle_pipeline.scoring.test_isolation import parent; "

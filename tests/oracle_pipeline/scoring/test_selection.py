@@ -38,7 +38,7 @@ def p_values(table: pd.DataFrame, new: pd.DataFrame) -> np.ndarray:
 
 
 def with_odd(table: pd.DataFrame, count: int) -> pd.DataFrame:
-    """Return a table in which some recordings went wrong, each in its own way."""
+    """Return a table in which some recordings failed, each in its own way."""
     table = table.copy()
     for number in range(count):
         table.loc[number, FEATURES[number : number + 8]] = 200.0 * (number + 1)
