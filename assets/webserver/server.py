@@ -24,6 +24,7 @@ from dagster_webserver.app import create_app_from_workspace_process_context
 from dagster_webserver.version import __version__
 
 from assets.webserver import dagster_internals
+from assets.webserver.metrics import metrics_route
 from assets.webserver.report import report_route
 from oracle_pipeline.bags.terminal import version_option
 from oracle_pipeline.web_guard import VARIABLE, Guard, OriginError, parse_origins
@@ -122,6 +123,7 @@ def _web_server(instance: DagsterInstance, workspace: Path) -> Iterator[uvicorn.
     ) as context:
         dagster = create_app_from_workspace_process_context(context)
         store = RunStore(root=os.environ.get("ORACLE_HOME") or "data")
+        dagster.router.routes.insert(0, metrics_route(instance, store))
         if store.is_local:
             dagster.router.routes.insert(0, report_route(store.report.parent))
         app = Guard(dagster, origins)

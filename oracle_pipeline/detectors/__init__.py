@@ -17,20 +17,7 @@ from oracle_pipeline.detectors.groups import LargestGroup, SignalScaler
 from oracle_pipeline.detectors.panel import DEFAULT_DETECTOR, named_detector, panel, pipeline
 
 __all__ = [
-    "DEFAULT_DETECTOR",
-    "BeyondRange",
-    "Detector",
-    "DetectorError",
-    "Deviation",
-    "FamilyDeviation",
-    "LargestGroup",
-    "Mahalanobis",
-    "SignalScaler",
-    "UsualRanges",
-    "by_family",
-    "explain",
-    "named_detector",
-    "panel",
-    "pipeline",
-    "single_threaded",
-]
+    "DEFAULT_DETECTOR", "BeyondRange", "Detector", "DetectorError", "Deviation", "FamilyDeviation",
+    "LargestGroup", "Mahalanobis", "SignalScaler", "UsualRanges", "by_family", "explain",
+    "named_detector", "panel", "pipeline", "single_threaded",
+]  # fmt: skip

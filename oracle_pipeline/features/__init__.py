@@ -21,25 +21,8 @@ from oracle_pipeline.features.extraction import compute, extract, measure, write
 from oracle_pipeline.features.manager import FeatureManager, build_manager
 
 __all__ = [
-    "Feature",
-    "FeatureExtractionPlugin",
-    "FeatureManager",
-    "FeaturePlugin",
-    "FeatureTables",
-    "Located",
-    "Missing",
-    "PluginError",
-    "RawRecord",
-    "RecordingFeatures",
-    "Request",
-    "Series",
-    "Table",
-    "Window",
-    "build_manager",
-    "compute",
-    "extract",
-    "hookimpl",
-    "measure",
-    "together",
+    "Feature", "FeatureExtractionPlugin", "FeatureManager", "FeaturePlugin", "FeatureTables",
+    "Located", "Missing", "PluginError", "RawRecord", "RecordingFeatures", "Request", "Series",
+    "Table", "Window", "build_manager", "compute", "extract", "hookimpl", "measure", "together",
     "write",
-]
+]  # fmt: skip

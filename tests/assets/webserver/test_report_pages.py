@@ -3,7 +3,10 @@
 import pytest
 import requests
 
+from assets.webserver.metrics import METRICS_PATH
 from assets.webserver.report import REPORT_PATH
+from oracle_pipeline.scoring.kept_verdicts import KeptVerdict, add_verdicts
+from oracle_pipeline.scoring.verdict import Verdict
 from tests.ui import web_server
 
 pytestmark = pytest.mark.slow
@@ -15,6 +18,8 @@ def root(tmp_path_factory):
     (root / "report" / "runs").mkdir(parents=True)
     (root / "report" / "index.html").write_text("<script>alert(1)</script>the report")
     (root / "report" / "runs" / "one.html").write_text("one run")
+    verdict = KeptVerdict("a", "", Verdict("a", "anomalous"), 0.05, "", "2026-11-28T00:00:00")
+    add_verdicts(root, [verdict])
     (root / "secret.txt").write_text("secret")
     (root / "report" / "link").symlink_to(root / "secret.txt")
     return root
@@ -50,6 +55,16 @@ def test_nothing_outside_the_report_is_served(server, path):
 
 def test_the_guard_protects_the_report(server):
     assert get(server, "/", Host="evil.example")[0] == 403
+
+
+def test_prometheus_reads_runs_verdicts_and_free_space(server):
+    answer = requests.get(f"{server.origin}{METRICS_PATH}", timeout=30)
+    assert answer.headers["Content-Type"].startswith("text/plain")
+    figures = dict(line.rsplit(" ", 1) for line in answer.text.splitlines() if line[0] != "#")
+    assert figures['oracle_dagster_runs{status="QUEUED"}'] == "0"
+    assert figures['oracle_partitions{asset="experiment_runs"}'] == "0"
+    assert figures['oracle_verdicts{outcome="anomalous"}'] == "1"
+    assert int(figures['oracle_free_bytes{root=""}']) > 0
 
 
 def test_without_a_report_dagsters_pages_still_work(tmp_path):
