@@ -141,7 +141,8 @@ def test_kubernetes_names_the_cluster_that_it_starts() -> None:
                 if d["kind"] == "Service"}  # fmt: skip
     assert deployment["env"]["ORACLE_DASK"] in {f"tcp://{name}:8786" for name in services}
     workers = next(d for d in documents("kubernetes/dask.yaml")
-                   if d["metadata"]["name"] == "oracle-dask-worker")  # fmt: skip
+                   if d["kind"] == "Deployment"
+                   and d["metadata"]["name"] == "oracle-dask-worker")  # fmt: skip
     (container,) = workers["spec"]["template"]["spec"]["containers"]
     assert deployment["env"]["ORACLE_DASK"] in container["args"]
     variables = {variable["name"]: variable["value"] for variable in container["env"]}
