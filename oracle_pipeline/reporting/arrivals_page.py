@@ -49,6 +49,7 @@ def arrivals_page(rows: pd.DataFrame, load: Callable[[str], KeptVerdict]) -> str
         newest=_listed("arrivals", newest),
         oddest=_listed("oddest arrivals", oddest) if len(rows) > SHOWN else None,
         summary=summary(rows),
+        shown=SHOWN,
         words=_IN_WORDS,
         evidence_table=evidence_table,
         family=family_as_text,

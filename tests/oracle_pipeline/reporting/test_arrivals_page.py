@@ -70,7 +70,8 @@ def test_of_many_recordings_the_newest_and_the_oddest_are_shown_and_no_other_is_
 
     tree = lxml.html.fromstring(arrivals_page(rows(many), load))
     assert read == [f"k{n}" for n in range(499, 499 - SHOWN, -1)] + ["k7"]
-    newest, oddest = ([row.text_content() for row in table.xpath("tbody/tr")]
+    assert "The 50 most unusual recordings and the 50 newest are listed." in tree.text_content()
+    oddest, newest = ([row.text_content() for row in table.xpath("tbody/tr")]
                       for table in tree.xpath("//table")[:2])  # fmt: skip
     assert len(newest) == SHOWN
     assert ["k7" in row for row in oddest] == [True]
