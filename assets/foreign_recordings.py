@@ -6,7 +6,7 @@ and jobs over assets with different partitions. External assets are not part of 
 """
 
 from collections.abc import Iterator
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING
 
 import dagster as dg
@@ -117,17 +117,17 @@ def judge_recordings(
         if features:
             yield _materialized(FOREIGN_FEATURES, batch, features)
         yield _materialized(FOREIGN_VERDICTS, batch, _facts(own, inbox, store))
-        yield _evaluation(
-            batch, own, latest_materialization(context.instance, FOREIGN_VERDICTS.key, batch)
-        )
-        page, scores = _write_page(store, rows), trend(rows)
-    context.log.info(f"{page} shows the newest and the most unusual of {len(rows)} recordings.")
+        target = latest_materialization(context.instance, FOREIGN_VERDICTS.key, batch)
+        yield _evaluation(store, batch, own, target)
+        shown = _write_page(store)
+        page, scores = layout.foreign_page(store.path), trend(shown)
+    context.log.info(f"{page} shows the newest and the most unusual of {len(shown)} recordings.")
     yield dg.AssetMaterialization(
         FOREIGN_REPORT.key,
         metadata={
             "path": dg.MetadataValue.path(str(page)),
             "url": dg.MetadataValue.url(f"{REPORT_PATH}/{page.name}"),
-            "recordings": len(rows),
+            "recordings": len(shown),
             **presentation.picture(scores),
         },
         tags={"dagster/code_version": str(FOREIGN_REPORT.code_version)},
@@ -158,7 +158,7 @@ def checks_of_arrivals(
     batches = {str(batch): own for batch, own in rows.groupby("batch") if batch}
     targets = latest_materializations(context.instance, FOREIGN_VERDICTS.key, list(batches))
     for batch, own in batches.items():
-        yield _evaluation(batch, own, targets.get(batch))
+        yield _evaluation(store, batch, own, targets.get(batch))
     yield dg.Output(None, output_name=IS_NORMAL.get_python_identifier())
 
 
@@ -166,15 +166,13 @@ def _judged(
     context: dg.OpExecutionContext, config: JudgeConfig, store: RunStore, inbox: Inbox
 ) -> "tuple[pd.DataFrame, Figures]":
     """Judge the recordings of a batch; return the table of all verdicts, and facts on features."""
-    from assets.worker.arrival_verdict import judge_arrivals
+    from assets.worker.arrival_verdict import judge_each
     from oracle_pipeline.scoring.isolation import Limits
     from oracle_pipeline.scoring.kept_verdicts import add_verdicts
 
     found = _arrivals(context, config, store, inbox)
     limits = Limits(config.time_limit, config.memory_limit)
-    work = judge_arrivals(
-        found, store.path, inbox.card_path, config.far, limits, context.partition_key
-    )
+    work = judge_each(found, store.path, inbox.card_path, config.far, limits, context.partition_key)
     verdicts: list[KeptVerdict] = []
     features: Figures = {}
     recordings = windows = 0
@@ -207,8 +205,10 @@ def _arrivals(
     from oracle_pipeline.bags.arrivals import arrivals
     from oracle_pipeline.scoring.kept_verdicts import verdict_rows
 
-    rows = verdict_rows(store.path)
-    wanted = set(config.recordings or rows.loc[rows["batch"] == context.partition_key, "key"])
+    wanted = set(config.recordings)
+    if not wanted:
+        rows = verdict_rows(store.path)
+        wanted = set(rows.loc[rows["batch"] == context.partition_key, "key"])
     found = arrivals(inbox.path, wanted).found
     if gone := ", ".join(sorted(wanted - {each.key for each in found})):
         context.log.warning(f"{inbox.path} has no recording {gone}: removed or renamed.")
@@ -244,14 +244,14 @@ def _facts(rows: "pd.DataFrame", inbox: Inbox, store: RunStore) -> Figures:
 
 
 def _evaluation(
-    batch: str, rows: "pd.DataFrame", target: dg.EventLogRecord | None
+    store: RunStore, batch: str, rows: "pd.DataFrame", target: dg.EventLogRecord | None
 ) -> dg.AssetCheckEvaluation:
     """Return the check's result; too few normal recordings give only a warning."""
+    from oracle_pipeline.scoring.output import paragraph
+
     odd = rows[rows["outcome"] != "normal"]
-    lines = [
-        f"{row.outcome}: {row.recording}. {row.sentence}"
-        for row in odd.head(SHOWN).itertuples(index=False)
-    ]
+    shown = [_kept(store, key).verdict for key in odd["key"].head(SHOWN)]
+    lines = [line for verdict in shown for line in paragraph(verdict)]
     return check_evaluation(
         IS_NORMAL,
         batch,
@@ -265,15 +265,21 @@ def _evaluation(
     )
 
 
-def _write_page(store: RunStore, rows: "pd.DataFrame") -> Path:
-    """Write the page on all verdicts, and return its path."""
+def _write_page(store: RunStore) -> "pd.DataFrame":
+    """Write the page on all verdicts, and return their table."""
     from oracle_pipeline.reporting.arrivals_page import arrivals_page
     from oracle_pipeline.reporting.html import write_page
+    from oracle_pipeline.scoring.kept_verdicts import verdict_rows
+
+    shown: pd.DataFrame | None = None
+    # Another run may have written meanwhile.
+    while shown is None or not shown.equals(verdict_rows(store.path)):
+        shown = verdict_rows(store.path)
+        write_page(arrivals_page(shown, partial(_kept, store)), layout.foreign_page(store.path))
+    return shown
+
+
+def _kept(store: RunStore, key: str) -> "KeptVerdict":
     from oracle_pipeline.scoring.kept_verdicts import kept_verdict
 
-    def load(key: str) -> "KeptVerdict":
-        return kept_verdict(layout.foreign(store.path, key) / layout.VERDICT)
-
-    page = layout.foreign_page(store.path)
-    write_page(arrivals_page(rows, load), page)
-    return page
+    return kept_verdict(layout.foreign(store.path, key) / layout.VERDICT)

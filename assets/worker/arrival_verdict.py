@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from oracle_pipeline.scoring.verdict import Verdict
 
 
-def judge_arrivals(
+def judge_each(
     arrivals: Sequence[Arrival],
     root: Path,
     card_path: Path,
@@ -35,7 +35,7 @@ def judge_arrivals(
     ------
     OracleError
         If the card does not exist.
-    """  # fmt: skip
+    """
     from oracle_pipeline.features import build_manager
     from oracle_pipeline.scoring.card import ReferenceCard
     from oracle_pipeline.scoring.isolation import Reading, extract_each

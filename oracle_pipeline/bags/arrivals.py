@@ -38,12 +38,10 @@ class Arrival:
     def is_finished(self) -> bool:
         """Return whether its files have their ends; never true if the recorder was killed."""
         try:
-            files = [self.path] if self.path.is_file() else list(_files(self.path))
-            whole = all(_ends(file) for file in files if is_recording(file))
             if self.path.is_file():
-                return whole or self.path.suffix != ".mcap"
+                return _ends(self.path) or self.path.suffix != ".mcap"
             return (
-                whole
+                all(_ends(file) for file in _files(self.path) if is_recording(file))
                 or is_complete_recording(self.path)
                 or any((self.path / name).is_file() for name in _LAST)
             )
@@ -64,9 +62,15 @@ class Arrivals(NamedTuple):
 
 
 def arrivals(folder: Path, keys: Collection[str] | None = None) -> Arrivals:
-    """Return the recordings in a folder, by default all.
+    """Return the recordings in a folder.
 
     Hidden entries are left out, so that a copy can be made under a hidden name and then renamed.
+
+    Parameters
+    ----------
+    folder : Path
+    keys : collection of str, optional
+        Only recordings with these keys are inspected; by default all.
 
     Raises
     ------

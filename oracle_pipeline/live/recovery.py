@@ -8,9 +8,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from oracle_pipeline.bags import run_directory
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.graph_files import write_gexf, write_graphml
+from oracle_pipeline.bags.run_directory import (
+    BAG_FOLDER,
+    GRAPHS_FOLDER,
+    RECORDING_FILE,
+    is_complete_recording,
+    recording_summary,
+)
 from oracle_pipeline.bags.scratch import lock
 from oracle_pipeline.bags.storage import Information, write_metadata
 from oracle_pipeline.bags.unfinished import NoMessageError, finish_mcap
@@ -31,9 +37,7 @@ class Recovered(NamedTuple):
 def recover(folder: Path) -> Iterator[Recovered]:
     """Finish the recordings in a folder, or the folder itself, that no watch writes any more."""
     for path in [folder, *sorted(entry for entry in folder.iterdir() if entry.is_dir())]:
-        if not (
-            path / run_directory.RECORDING_FILE
-        ).is_file() or run_directory.is_complete_recording(path):
+        if not (path / RECORDING_FILE).is_file() or is_complete_recording(path):
             continue
         try:
             with lock(path, wait=False):
@@ -46,11 +50,8 @@ def recover(folder: Path) -> Iterator[Recovered]:
 
 def _finish(path: Path) -> int:
     """Finish a recording, and return its number of messages."""
-    bag = path / run_directory.BAG_FOLDER
-    files = sorted(
-        bag.glob(f"{run_directory.BAG_FOLDER}_*.mcap"),
-        key=lambda file: int(file.stem.split("_")[1]),
-    )
+    bag = path / BAG_FOLDER
+    files = sorted(bag.glob(f"{BAG_FOLDER}_*.mcap"), key=lambda file: int(file.stem.split("_")[1]))
     told: list[Information] = []
     for file in files:
         try:
@@ -59,7 +60,7 @@ def _finish(path: Path) -> int:
             file.unlink()  # it had just begun
     if told:
         write_metadata(bag, told)
-    graphs = path / run_directory.GRAPHS_FOLDER
+    graphs = path / GRAPHS_FOLDER
     whole = compose(interval.graph for interval in read_intervals(graphs, gaps=True))
     write_gexf(whole, graphs / "run.gexf")
     write_graphml(whole, graphs / "run.graphml")
@@ -67,6 +68,6 @@ def _finish(path: Path) -> int:
     for topic in (topic for file in told for topic in file["topics_with_message_count"]):
         name = topic["topic_metadata"]["name"]
         counts[name] = counts.get(name, 0) + topic["message_count"]
-    facts = run_directory.recording_summary(path) or {}
+    facts = recording_summary(path) or {}
     write_summary(path, facts | {"complete": True, "messages": counts, "ended": KILLED})
     return sum(counts.values())

@@ -91,9 +91,8 @@ def _folds(normal: TracedRuns) -> NDArray[np.intp]:
 def _judge_by_votes(scores: NDArray[np.float64], runs: TracedRuns) -> KindScores:
     """Compute p-values from the votes of normal blocks; `scores` has shape (n_folds, n_runs)."""
     normal = runs.normal
-    votes = cross_conformal.CrossConformalScorer(
-        Design(LargestZ(), (), (), {})
-    )  # only for its folds and votes
+    # Only for its folds and votes.
+    votes = cross_conformal.CrossConformalScorer(Design(LargestZ(), (), (), {}))
     votes.fold_, votes.block_ = _folds(runs.where(normal)), runs.block[normal]
     votes.held_out_ = scores[votes.fold_, np.flatnonzero(normal)]
     return KindScores(votes.own_score(scores, runs.block), votes.p_values(scores, runs.block))

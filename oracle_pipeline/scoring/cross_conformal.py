@@ -101,10 +101,8 @@ class CrossConformalScorer:
         of_windows = np.empty(len(runs.run))
         for fold in range(self.fold_.max() + 1):
             out = self.fold_ == fold
-            held_out, scorer = (
-                seen.where(out),
-                run_scorer.RunScorer(self.design).fit(seen.where(~out)),
-            )
+            held_out = seen.where(out)
+            scorer = run_scorer.RunScorer(self.design).fit(seen.where(~out))
             scores = scorer.score(held_out)
             if by_level is None:
                 by_level = np.empty((len(out), scores.shape[1]))

@@ -213,7 +213,10 @@ def isolated_each(
             while number not in done:  # results of others may wait in memory
                 begun = max(0, min(at_once - len(running), 2 * at_once - len(done)))
                 for n, (work, path) in islice(waiting, begun):
-                    running[n] = _Process(work, path, limits, warm=len(jobs) > 1)
+                    try:
+                        running[n] = _Process(work, path, limits, warm=len(jobs) > 1)
+                    except OSError as error:  # no memory for a further process, perhaps
+                        done[n] = BagError(f"{path} got no process to be read in: {error}.")
                 for n in _ended(running):
                     done[n] = running.pop(n).answer()
             yield done.pop(number)
@@ -266,8 +269,9 @@ class _Process:
 
 def _ended(running: Mapping[int, _Process]) -> list[int]:
     """Wait for a process that answers, dies or exceeds its time; return the numbers of these."""
-    first_s = min(process.deadline_s for process in running.values()) - time.monotonic()
-    ready = connection.wait([each.pipe for each in running.values()], max(0.0, first_s))
+    first_s = min((each.deadline_s for each in running.values()), default=0.0)
+    wait_s = max(0.0, first_s - time.monotonic())
+    ready = connection.wait([each.pipe for each in running.values()], wait_s)
     now_s = time.monotonic()
     return [n for n, each in running.items() if each.pipe in ready or now_s >= each.deadline_s]
 
