@@ -309,6 +309,7 @@ class ReadyReaders:
         self._waitset = core.WaitSet(participant)
         self._readers: dict[int, RawReader] = {}  # by the address that DDS gives back
         self._kept: list[Any] = []  # must not be freed while DDS knows its address
+        self._waitset.attach(core.GuardCondition(participant))  # an empty set would not wait
 
     def add(self, reader: RawReader) -> None:
         """Wait for a reader too; may be called while another thread waits."""
@@ -319,12 +320,20 @@ class ReadyReaders:
         self._kept.append(condition)
 
     def wait(self, timeout_s: float) -> Iterable[RawReader]:
-        """Return the readers that have messages, within some time."""
+        """Return the readers that have messages, within some time.
+
+        Raises
+        ------
+        DdsError
+            The domain was left.
+        """
         size = len(self._readers) + 1
         marks = (ctypes.c_void_p * size)()
         count = self._waitset._waitset_wait(
             self._waitset._ref, marks, size, round(timeout_s * _SECOND_NS)
         )
+        if count < 0:
+            raise DdsError(f"No messages can be waited for: code {count}.")
         found = (self._readers.get(mark or 0) for mark in marks[: min(count, size)])
         return [reader for reader in found if reader is not None]
 

@@ -93,7 +93,7 @@ def frames(scene: ReplayScene) -> Iterator[tuple[float, bytes]]:
     palette = _palette(film, scene)
     for moment in scene.moments:
         sink = io.BytesIO()
-        _indexed(film.frame(moment), palette).save(sink, "PNG", optimize=True)
+        _indexed(film.frame(moment), palette).save(sink, "PNG")
         yield moment.time_s, sink.getvalue()
 
 

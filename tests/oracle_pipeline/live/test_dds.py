@@ -5,6 +5,7 @@ import random
 import socket
 import subprocess
 import sys
+import time
 
 import hypothesis.strategies as st
 import pytest
@@ -73,6 +74,17 @@ def test_messages_come_with_the_bytes_that_were_sent(domain, eventually):
     assert eventually(lambda: list(ready.wait(1.0))) == [reader]
     assert [raw.data for raw in reader.take()] == sent
     assert list(ready.wait(0.0)) == []
+
+
+def test_without_a_reader_it_waits_too(domain):
+    participant = dds.join(domain)
+    ready = dds.ReadyReaders(participant)
+    began_s = time.monotonic()
+    assert list(ready.wait(0.2)) == []
+    assert time.monotonic() - began_s > 0.19
+    dds.leave(participant)
+    with pytest.raises(DdsError, match="waited"):
+        ready.wait(0.2)
 
 
 def test_a_reader_counts_exactly_what_it_loses(domain):
