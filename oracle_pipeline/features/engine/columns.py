@@ -23,6 +23,7 @@ _Place: TypeAlias = "int | _Ints"  # offset after the encapsulation [B]; of all 
 _HEADER = "std_msgs/msg/Header"
 _ENCAPSULATION = len(ENCAPSULATION)
 _PADDING = 3  # maximum of bytes after a message in CDR
+_TURNS = 2  # elements that are gone through before the others are taken to be as long
 _READ_BEYOND = bytes(16)  # so that every read is inside the buffer
 
 _DTYPES = {**DTYPES, "byte": DTYPES["uint8"]}  # a byte has no sign, as rosbags decodes it
@@ -70,12 +71,12 @@ class _Buffer:
     views: dict[np.dtype[Any], NDArray[Any]] = field(default_factory=dict)
 
     def read(self, dtype: np.dtype[Any], at: _Place) -> NDArray[Any]:
-        """Return a number of each message."""
+        """Return a number of each message; several if the offset has a row for each of them."""
         if dtype not in self.views:
             count = len(self.data) - dtype.itemsize + 1
             self.views[dtype] = np.ndarray((count,), dtype, self.data, strides=(1,))
         view = self.views[dtype]
-        numbers: NDArray[Any] = view[np.minimum(self.starts + at, len(view) - 1)]
+        numbers: NDArray[Any] = view[np.minimum((self.starts + at).T, len(view) - 1)]
         return numbers
 
     def of(self, rows: _Ints) -> "_Buffer":
@@ -132,11 +133,13 @@ class Columns:
                 return _wide(buffer.read(dtype, at))
             case _Text(at, sizes):
                 return _texts(buffer.data, buffer.starts + at, sizes + np.zeros_like(buffer.starts))
-            case _Numbers(dtype, at, counts, is_fixed):
-                arrays = _arrays(
+            case _Numbers(dtype, at, int(count), is_fixed=True):
+                places = np.arange(count)[:, None] * dtype.itemsize
+                return _wide(buffer.read(dtype, at + places))
+            case _Numbers(dtype, at, counts):
+                return _arrays(
                     buffer.data, dtype, buffer.starts + at, counts + np.zeros_like(buffer.starts)
                 )
-                return _wide(np.stack(arrays.tolist())) if is_fixed and len(arrays) else arrays
 
 
 class ColumnSource(Protocol):
@@ -267,16 +270,41 @@ class _Walk:
             turn += 1
             starts.append(ends[rows])
             owners.append(rows)
-            walk = _Walk(self._buffer.of(rows))
-            _, after = walk.to(element, ends[rows])
-            ends[rows] = after
-            fits = walk.whole & (ends[rows] <= self._buffer.sizes[rows])
+            after, fits = self._after(element, rows, ends[rows])
+            length, ends[rows] = after - ends[rows], after
             self.whole[rows[~fits]] = False
-            rows = rows[fits & (count[rows] > turn)]
+            left = fits & (count[rows] > turn)
+            rows, length = rows[left], length[left]
+            if turn == _TURNS:
+                places, of = self._equal(element, rows, ends[rows], length, count[rows] - turn)
+                starts.append(places)
+                owners.append(of)
+                equal = np.isin(rows, of)
+                ends[rows[equal]] += (length * (count[rows] - turn))[equal]
+                rows = rows[~equal]
         owner = np.concatenate([np.zeros(0, np.int64), *owners])
         order = np.argsort(owner, kind="stable")
         start = np.concatenate([np.zeros(0, np.int64), *starts])[order]
         return _Elements(element, start, owner[order]), _same(ends)
+
+    def _after(self, element: Any, rows: _Ints, at: _Ints) -> tuple[_Ints, NDArray[np.bool_]]:
+        """Return the offset after an element of each of some messages, and which are whole."""
+        walk = _Walk(self._buffer.of(rows))
+        after = walk.to(element, at)[1] + np.zeros_like(at)
+        return after, walk.whole & (after <= self._buffer.sizes[rows])
+
+    def _equal(
+        self, element: Any, rows: _Ints, at: _Ints, length: _Ints, count: _Ints
+    ) -> tuple[_Ints, _Ints]:
+        """Return the offsets of all elements, and their messages, where all have one length."""
+        count = np.where(at + length * count <= self._buffer.sizes[rows], count, 0)
+        place = np.repeat(np.arange(len(rows)), count)
+        number = np.arange(len(place)) - np.repeat(np.cumsum(count) - count, count)
+        places = at[place] + length[place] * number
+        after, fits = self._after(element, rows[place], places)
+        differ = np.bincount(place, ~fits | (after != places + length[place]), len(rows))
+        kept = differ[place] == 0
+        return places[kept], rows[place[kept]]
 
     def _count(self, at: _Place, size: int) -> tuple[_Place, _Place]:
         """Read the length of a sequence or string whose elements take at least ``size`` bytes."""
@@ -287,7 +315,7 @@ class _Walk:
         return _same(np.where(fits, counts, 0)), at + 4
 
     def _aligned(self, at: _Place, size: int) -> _Place:
-        return at + -at % size if self._buffer.is_cdr and size > 1 else at
+        return at + (-at & size - 1) if self._buffer.is_cdr else at  # sizes are powers of two
 
 
 def _same(places: _Ints) -> _Place:

@@ -32,6 +32,7 @@ OF_RUN = (*_IN_UNIT, *_PURE)
 OF_WINDOW = ("mean", "std", "change")
 OF_STEPS = ("change", "autocorrelation", "held")  # others where messages are lost
 _LEVELS = [0, 2, 3]  # places of mean, minimum and maximum
+_ROWS_OF_WINDOW = [OF_RUN.index(statistic) for statistic in OF_WINDOW]
 _COUNTED = {"seq", "count", "counter", "timestamp", "time", "ticks"}  # last words of names
 
 
@@ -66,16 +67,17 @@ class SignalTable:
 
     def values(self, span: Span, *, per_window: bool = False) -> dict[str, float]:
         """Return the statistics of a span by column; NaN where a signal has too few numbers."""
-        wanted = OF_WINDOW if per_window else OF_RUN
-        values = {}
-        for each, periods in zip(self._signals, self._periods, strict=True):
-            part = span.slice_of(each.times_ns)
-            found = _within_a_turn(_statistics(each.values[part]), periods)
-            for name, row in zip(each.names, found.T.tolist(), strict=True):
-                for statistic, value in zip(OF_RUN, row, strict=True):
-                    if statistic in wanted:
-                        values[_column(each.topic, name, statistic)] = value
-        return values
+        rows = _ROWS_OF_WINDOW if per_window else slice(None)
+        found = [
+            _within_a_turn(
+                _statistics(each.values[span.slice_of(each.times_ns)], of_run=not per_window),
+                periods,
+            )[rows]
+            for each, periods in zip(self._signals, self._periods, strict=True)
+        ]
+        numbers = np.concatenate([each.T.ravel() for each in found]) if found else np.empty(0)
+        columns = self.of_windows if per_window else self.features
+        return dict(zip(columns, numbers.tolist(), strict=True))
 
 
 def _column(topic: str, name: str, statistic: str) -> str:
@@ -129,7 +131,7 @@ def _rates(values: Floats, times_ns: NDArray[np.int64]) -> Floats:
     return rates
 
 
-def _statistics(values: Floats) -> Floats:
+def _statistics(values: Floats, *, of_run: bool) -> Floats:
     """Return the statistics of each column, shape (len(OF_RUN), n_columns)."""
     found = np.full((len(OF_RUN), values.shape[1]), np.nan)
     if not len(values):
@@ -137,39 +139,34 @@ def _statistics(values: Floats) -> Floats:
     finite = np.isfinite(values)
     found[-1] = 1.0 - finite.mean(axis=0)
     whole = finite.all(axis=0)
-    found[:-1, whole] = _of_finite(values[:, whole])
+    found[:-1, whole] = _of_finite(values[:, whole], of_run)
     for j in np.flatnonzero(~whole & finite.any(axis=0)).tolist():
-        found[:-1, j] = _of_finite(values[finite[:, j], j][:, np.newaxis])[:, 0]
+        found[:-1, j] = _of_finite(values[finite[:, j], j][:, np.newaxis], of_run)[:, 0]
     return found
 
 
-def _of_finite(values: Floats) -> Floats:
+def _of_finite(values: Floats, of_run: bool) -> Floats:
     """Return all statistics but the last of columns of finite numbers.
 
-    A few numbers have a level only, so that what is published once counts too.
+    A few numbers have a level only, so that what is published once counts too. The last two are of
+    runs only.
     """
     mean, low, high = values.mean(axis=0), values.min(axis=0), values.max(axis=0)
+    unknown = np.full(len(mean), np.nan)
     if len(values) < FEWEST:
-        unknown = np.full(len(mean), np.nan)
         return np.stack([mean, unknown, low, high, *[unknown] * 3])
-    steps, centred = np.diff(values, axis=0), values - mean
+    steps, centred = values[1:] - values[:-1], values - mean
     squares = (centred * centred).mean(axis=0)
     deviation, change = np.sqrt(squares), np.abs(steps).mean(axis=0)
-    rounding = ROUNDING * np.maximum(np.abs(low), np.abs(high))
-    is_constant = deviation <= rounding
+    is_constant = deviation <= ROUNDING * np.maximum(np.abs(low), np.abs(high))
+    spread, changes = np.where(is_constant, 0.0, [deviation, change])
+    if not of_run:
+        return np.stack([mean, spread, low, high, changes, *[unknown] * 2])
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = (centred[1:] * centred[:-1]).sum(axis=0) / (squares * len(values))
-    return np.stack(
-        [
-            mean,
-            np.where(is_constant, 0.0, deviation),
-            low,
-            high,
-            np.where(is_constant, 0.0, change),
-            np.where(is_constant, 1.0, correlation),
-            np.array([*_held(steps)]),
-        ]
-    )
+    correlation = np.where(is_constant, 1.0, correlation)
+    held = np.array([*_held(steps)])
+    return np.stack([mean, spread, low, high, changes, correlation, held])
 
 
 def _held(steps: Floats) -> Iterator[float]:

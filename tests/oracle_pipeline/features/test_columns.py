@@ -81,6 +81,30 @@ def test_columns_have_what_decoding_gives(messages):
     check(batch.columns(), [typestore().deserialize_cdr(data, msgtype) for data in batch.data])
 
 
+@given(
+    st.lists(st.lists(st.sampled_from(["map", "map", "odom_1"]), max_size=9), min_size=1), st.data()
+)
+def test_elements_of_one_length_and_of_several_are_found(frames, data):
+    def make(name, *fields):
+        return message_class(name)(*fields)
+
+    header = make("std_msgs/msg/Header", make("builtin_interfaces/msg/Time", 0, 0), "x")
+    pair = make("diagnostic_msgs/msg/KeyValue", "key", "a")
+    messages = [
+        make("diagnostic_msgs/msg/DiagnosticArray", header, [
+            make("diagnostic_msgs/msg/DiagnosticStatus", 1, name, "", "", [pair] * len(name))
+            for name in names
+        ])
+        for names in frames
+    ]  # fmt: skip
+    batch = batch_of(*messages)
+    check(batch.columns(), messages)
+    cut = batch.data[0][: data.draw(st.integers(4, len(batch.data[0])))]
+    msgtype = messages[0].__msgtype__
+    odd = SerializedMessages([cut, *batch.data], typestore(), msgtype, is_cdr=True)
+    assert odd.whole.tolist() == [decodes(cut, msgtype), *[True] * len(messages)]
+
+
 def decodes(data: bytes, msgtype: str) -> bool:
     try:
         typestore().deserialize_cdr(data, msgtype)
