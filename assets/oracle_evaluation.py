@@ -1,6 +1,6 @@
 """Our own evaluation of the oracle, over distinct runs and held-out blocks."""
 
-from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import dagster as dg
@@ -41,6 +41,7 @@ def oracle_evaluation(
         graph_differences=_graph_differences(store, fleet, set(df["run_id"])),
         grid=_mutants(store, fleet),
         progress=lambda step: context.log.info(f"Evaluating: {step}."),
+        each=partial(fleet.results, done="cards learned and their runs judged"),
     )
     report = evaluation_report(evaluation)
     context.log.info(f"{report.summary['headline']} {report.summary['verdicts']}".strip())
@@ -85,6 +86,7 @@ def _mutants(store: RunStore, fleet: Fleet) -> "MeasuredRuns | None":
     """Return features and windows of the runs of all grids, with the changes of each run."""
     import pandas as pd
 
+    from assets.worker.feature_tables import require_tables
     from assets.worker.kept_tables import read_tables
     from oracle_pipeline.datasets import feature_dataset as joined
     from oracle_pipeline.datasets import window_dataset
@@ -95,7 +97,7 @@ def _mutants(store: RunStore, fleet: Fleet) -> "MeasuredRuns | None":
         with index.open("rb") as source:
             mutants = pd.read_json(source)
         runs = [RunDirectory.of_key(index.parent, key) for key in mutants["run_id"]]
-        _require_features(runs, fleet)
+        fleet.results(require_tables, runs, "runs of grids read")
         df = joined(read_tables(runs, "run"))
         changes = mutants[["run_id", "scenario", "parameter", "value", "changed_messages"]]
         df = df.merge(changes, on="run_id", validate="one_to_one")
@@ -108,12 +110,3 @@ def _mutants(store: RunStore, fleet: Fleet) -> "MeasuredRuns | None":
     return MeasuredRuns.ordered(
         pd.concat(runs_of_grids, ignore_index=True), pd.concat(windows_of_grids, ignore_index=True)
     )
-
-
-def _require_features(runs: Sequence[RunDirectory], fleet: Fleet) -> None:
-    """Extract the features of runs that have none."""
-    from assets.worker.feature_tables import require_tables
-
-    for outcome in fleet.outcomes(require_tables, runs, "runs of grids read"):
-        if outcome.error is not None:
-            raise dg.Failure(f"{outcome.job.path}: {outcome.error}", allow_retries=False)

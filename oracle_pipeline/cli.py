@@ -113,12 +113,10 @@ def _choices(roles: Path | None) -> "RoleChoices | None":
     help="One row for the recording, or one for each window of 5 s (every 2.5 s).",
 )  # fmt: skip
 @click.option(
-    "--format",
-    "file_format",
-    type=click.Choice(["text", "json", "parquet"]),
+    "--format", "file_format", type=click.Choice(["text", "json", "parquet"]),
     help="Text for reading; JSON for jq; Parquet for pandas, units in its schema.  [default: text "
     "on a terminal, else JSON]",
-)
+)  # fmt: skip
 @output_option("--output", "File to write; Parquet needs one.  [default: standard output]")
 @click.option(
     "--roles", is_flag=False, flag_value=_SHOWN, metavar="[FILE]",

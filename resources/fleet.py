@@ -84,6 +84,24 @@ class Fleet(dg.ConfigurableResource[None]):
                     log.info(_progress(over, len(jobs), done, failed, now - started))
                 yield outcome
 
+    def results(
+        self, function: Callable[[J], R], jobs: Sequence[J], done: str = "jobs done"
+    ) -> list[R]:
+        """Return the result of each job, in their order.
+
+        Parameters are those of `outcomes`.
+
+        Raises
+        ------
+        dagster.Failure
+            A job failed; as `outcomes`.
+        """
+        found = {outcome.job: outcome for outcome in self.outcomes(function, jobs, done)}
+        for outcome in found.values():
+            if outcome.error is not None:
+                raise dg.Failure(outcome.error, allow_retries=False)  # the log names the job
+        return [found[job].result for job in jobs]  # type: ignore[misc]  # there is no error
+
     def _fan_out(self, function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[JobOutcome[J, R]]:
         if not self.address:
             return fan_out(function, jobs, self._workers)

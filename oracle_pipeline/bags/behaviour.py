@@ -9,13 +9,9 @@ from collections.abc import Mapping
 from oracle_pipeline.bags.manifest import Manifest
 
 UNITS: Mapping[str, str] = {
-    "driven_m": "m",
-    "under_way_s": "s",
-    "clearance_m": "m",
-    "goals_reached": "1",
-    "recoveries": "1",
-    "commands_altered": "1",
-}
+    "driven_m": "m", "under_way_s": "s", "clearance_m": "m",
+    "goals_reached": "1", "recoveries": "1", "commands_altered": "1",
+}  # fmt: skip
 """The quantities, and their units."""
 
 

@@ -47,21 +47,11 @@ except ImportError as error:
 Participant: TypeAlias = domain.DomainParticipant
 
 _PRIMITIVES: dict[str, Any] = {
-    "bool": bool,
-    "byte": idl.byte,
-    "octet": idl.byte,
-    "char": idl.uint8,
-    "float32": idl.float32,
-    "float64": idl.float64,
-    "int8": idl.int8,
-    "int16": idl.int16,
-    "int32": idl.int32,
-    "int64": idl.int64,
-    "uint8": idl.uint8,
-    "uint16": idl.uint16,
-    "uint32": idl.uint32,
-    "uint64": idl.uint64,
-}
+    "bool": bool, "byte": idl.byte, "octet": idl.byte, "char": idl.uint8,
+    "float32": idl.float32, "float64": idl.float64,
+    "int8": idl.int8, "int16": idl.int16, "int32": idl.int32, "int64": idl.int64,
+    "uint8": idl.uint8, "uint16": idl.uint16, "uint32": idl.uint32, "uint64": idl.uint64,
+}  # fmt: skip
 _IDL: Any = idl  # type checkers do not know the subscripts of its types
 _joined: weakref.WeakSet[Participant] = weakref.WeakSet()
 _EVERYTHING = core.SampleState.Any | core.ViewState.Any | core.InstanceState.Any

@@ -18,6 +18,7 @@ from oracle_pipeline.evaluation.aspects import aspects_table
 from oracle_pipeline.evaluation.card_verdicts import (
     RATE,
     CardVerdicts,
+    Each,
     Observations,
     card_folds,
     card_verdicts,
@@ -73,6 +74,7 @@ def evaluate(
     grid: MeasuredRuns | None = None,
     seed: int = SEED,
     progress: Progress = lambda _: None,
+    each: Each = map,
 ) -> CampaignEvaluation:
     """Evaluate the verdicts of reference cards on runs of other blocks, and compare detectors.
 
@@ -94,13 +96,17 @@ def evaluate(
         Of splits, detectors and resamples.
     progress : callable
         Called with one line before each step.
+    each : callable
+        Judges the runs of several cards (`card_verdicts`).
 
     Raises
     ------
     DatasetError
         The tables do not fit together.
     """
-    steps = _Steps(JudgedRuns.of(features, windows, truth), observations or {}, seed, progress)
+    steps = _Steps(
+        JudgedRuns.of(features, windows, truth), observations or {}, seed, progress, each
+    )
     with single_threaded():
         return _evaluated(steps, truth, graph_differences, grid)
 
@@ -155,25 +161,26 @@ def _supported(scores: HeldOutScores) -> HeldOutScores:
     return replace(scores, p=np.full_like(scores.p, np.nan))
 
 
+@dataclass(eq=False)
 class _Steps:
     """The steps for one campaign and one seed."""
 
-    def __init__(
-        self, campaign: JudgedRuns, observations: Observations, seed: int, progress: Progress
-    ) -> None:
-        self.campaign = campaign
-        self.observations = observations
-        self.progress = progress
-        self.seed = seed
-        self.rng = np.random.default_rng(seed)
-        self.columns = feature_sets(campaign.features).get("all", [])
-        self.compared = comparisons(campaign.features)
-        self.folds = card_folds(campaign.features, seed)
+    campaign: JudgedRuns
+    observations: Observations
+    seed: int
+    progress: Progress
+    each: Each
+
+    def __post_init__(self) -> None:
+        self.rng = np.random.default_rng(self.seed)
+        self.columns = feature_sets(self.campaign.features).get("all", [])
+        self.compared = comparisons(self.campaign.features)
+        self.folds = card_folds(self.campaign.features, self.seed)
 
     def verdicts(self, split: str, folds: Sequence[splits.Fold]) -> CardVerdicts:
         """Judge all tested runs by the cards of their folds."""
         self.progress(f"{HEADLINE}; held out: {split}")
-        return card_verdicts(self.campaign, folds, self.observations)
+        return card_verdicts(self.campaign, folds, self.observations, self.each)
 
     def rows(self, verdicts: CardVerdicts) -> Iterator[Row]:
         """Yield the rows of the verdicts in each comparison, then of all detectors."""

@@ -6,14 +6,17 @@ block nor, if there are enough of them, the session of a run that it judges. So 
 among those that set its threshold.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from oracle_pipeline.detectors import single_threaded
 from oracle_pipeline.evaluation import splits
 from oracle_pipeline.evaluation.held_out import HeldOutScores
 from oracle_pipeline.features import FeatureTables
@@ -30,6 +33,9 @@ from oracle_pipeline.scoring.verdict import AspectScore, ScoringError, Verdict
 RATE = 0.05  # nominal false positive rate of all verdicts
 
 Observations = Mapping[str, Observation]  # by run
+Judged: TypeAlias = Sequence[Verdict | None]
+#: Calls a function for each fold, as ``map`` does, perhaps in other processes.
+Each: TypeAlias = Callable[[Callable[[int], Judged], Sequence[int]], Iterable[Judged]]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -86,7 +92,10 @@ def card_folds(df: pd.DataFrame, seed: int) -> list[splits.Fold]:
 
 
 def card_verdicts(
-    runs: MeasuredRuns, folds: Sequence[splits.Fold], observations: Observations | None = None
+    runs: MeasuredRuns,
+    folds: Sequence[splits.Fold],
+    observations: Observations | None = None,
+    each: Each = map,
 ) -> CardVerdicts:
     """Judge the tested runs of each fold by a card of its other normal runs.
 
@@ -97,18 +106,30 @@ def card_verdicts(
         Cards are learned from the rows to fit and to calibrate.
     observations : mapping of str to Observation, optional
         Interfaces of the runs. Cards have a contract if all runs that they learn from are in it.
+    each : callable
+        Judges the folds, in order.
     """
-    seen = observations or {}
     # Copies are of one piece, from which pandas selects rows many times as fast.
     runs = MeasuredRuns(runs.features.copy(), runs.windows.copy(), runs.run)
     verdicts: list[Verdict | None] = [None] * len(runs.features)
-    for fold in folds:
-        if (card := _card(runs, fold.fit | fold.calibrate, seen)) is not None:
-            tested = np.flatnonzero(fold.test).tolist()
-            judged = judge_all([_recording(runs, row, seen) for row in tested], card, RATE)
-            for row, verdict in zip(tested, judged, strict=True):
-                verdicts[row] = verdict
+    judge = partial(_judged, runs, folds, observations or {})
+    for fold, judged in zip(folds, each(judge, range(len(folds))), strict=True):
+        for row, verdict in zip(np.flatnonzero(fold.test).tolist(), judged, strict=True):
+            verdicts[row] = verdict or verdicts[row]
     return CardVerdicts(tuple(verdicts))
+
+
+def _judged(
+    runs: MeasuredRuns, folds: Sequence[splits.Fold], seen: Observations, number: int
+) -> Judged:
+    """Return the verdicts on the tested runs of a fold."""
+    fold = folds[number]
+    tested = np.flatnonzero(fold.test).tolist()
+    with single_threaded():
+        card = _card(runs, fold.fit | fold.calibrate, seen)
+        if card is None:
+            return [None] * len(tested)
+        return judge_all([_recording(runs, row, seen) for row in tested], card, RATE)
 
 
 def _recording(runs: MeasuredRuns, row: int, seen: Observations) -> Recording:

@@ -22,13 +22,9 @@ LEVEL = 0.99  # share of unaltered runs within the uncertainty, for each quantit
 REPEATS = 20  # unaltered runs needed to estimate the uncertainty
 # Smaller differences do not matter to a task, even if its runs hardly vary.
 LEAST: Mapping[str, float] = {
-    "driven_m": 0.1,
-    "under_way_s": 1.0,
-    "clearance_m": 0.02,
-    "goals_reached": 0.5,
-    "recoveries": 0.5,
-    "commands_altered": 0.01,
-}
+    "driven_m": 0.1, "under_way_s": 1.0, "clearance_m": 0.02,
+    "goals_reached": 0.5, "recoveries": 0.5, "commands_altered": 0.01,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -156,17 +156,12 @@ def bring_up(
             domain,
             "/lifecycle_manager_navigation",
             [
-                "/controller_server",
-                "/smoother_server",
-                "/planner_server",
-                "/behavior_server",
-                "/bt_navigator",
-                "/waypoint_follower",
-                "/velocity_smoother",
+                "/controller_server", "/smoother_server", "/planner_server", "/behavior_server",
+                "/bt_navigator", "/waypoint_follower", "/velocity_smoother",
             ],
         ),
         LifecycleManager(domain, "/lifecycle_manager", ["/collision_monitor"]),
-    )
+    )  # fmt: skip
 
     RViz(domain)
     NavigationDialog(domain)

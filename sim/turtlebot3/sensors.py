@@ -211,16 +211,9 @@ class LaserPlugin(Node):
     def _scan(self, time_ns: int, ranges: NDArray[np.float32]) -> object:
         return _LaserScan(
             header(time_ns, self._frame),
-            0.0,
-            SCAN_ANGLE_MAX,
-            SCAN_ANGLE_MAX / (SCAN_RAYS - 1),
-            0.0,
-            0.0,
-            SCAN_RANGE_MIN_M,
-            SCAN_RANGE_MAX_M,
-            ranges,
-            self._intensities,
-        )
+            0.0, SCAN_ANGLE_MAX, SCAN_ANGLE_MAX / (SCAN_RAYS - 1), 0.0, 0.0,
+            SCAN_RANGE_MIN_M, SCAN_RANGE_MAX_M, ranges, self._intensities,
+        )  # fmt: skip
 
 
 def noisy_ranges(exact: Floats, noise: LidarNoise, rng: np.random.Generator) -> NDArray[np.float32]:

@@ -1,5 +1,6 @@
 """The evaluation's verdicts are those of `oracle score`, by cards that do not know the run."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +29,17 @@ def campaign():
 @pytest.fixture(scope="module")
 def judged(campaign):
     return card_verdicts(campaign, card_folds(campaign.features, 0))
+
+
+def test_judging_in_other_processes_changes_no_verdict(campaign, judged):
+    def sent(what):
+        return pickle.loads(pickle.dumps(what))  # noqa: S301 -- our own bytes
+
+    def elsewhere(function, folds):
+        return [sent(sent(function)(fold)) for fold in folds]
+
+    again = card_verdicts(campaign, card_folds(campaign.features, 0), each=elsewhere)
+    assert again.verdicts == judged.verdicts
 
 
 def row_of(runs, row):
