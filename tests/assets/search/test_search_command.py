@@ -2,7 +2,9 @@
 
 import dataclasses
 import json
+import os
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,7 +18,7 @@ from assets.search.closed_loop import Finding, Proposal
 from assets.search.composed_attacks import composed_attacks
 from assets.search.outcome import misses, save
 from assets.search.scenario_parameters import scenario_attacks
-from assets.search.search import CONTROLS
+from assets.search.search import CONTROLS, SearchSettings
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
 from oracle_pipeline.datasets import feature_dataset, window_dataset
 from oracle_pipeline.evaluation.campaign_evaluation import evaluate
@@ -28,23 +30,37 @@ from sim.experiments import recipe_for
 from sim.fuzzing.compilation import compile_file
 from sim.modes import find_mode, modes
 from sim.pairs import CONTROL
-from tests.recorded_runs import RecordedRuns, linked
+from tests.recorded_runs import RecordedRuns
 
 pytestmark = pytest.mark.slow(5)
 
 OF_SEARCH = Campaign(goals_per_run=1, timeout_s=120.0)  # the command's own limit
 
 
+@pytest.fixture(scope="module")
+def controls(normal_card: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The runs without an attack of a search of one block, with their repeats."""
+    folder = tmp_path_factory.mktemp(CONTROLS)
+    SearchSettings(str(normal_card), Campaign(), far=0.2).closed_loop(folder).run_control(0)
+    return folder
+
+
 @pytest.fixture
-def search(normal_card: Path, recorded_run: RecordedRuns, tmp_path: Path) -> Callable[..., Result]:
-    """The command on one template, in a folder that has the run without an attack already."""
-    linked(recorded_run(CONTROL, 0, OF_SEARCH), tmp_path / CONTROLS)
+def prepared(controls: Path, tmp_path: Path) -> Path:
+    """A folder for a search that has its runs without an attack already."""
+    shutil.copytree(controls, tmp_path / CONTROLS, copy_function=os.link)
+    return tmp_path
+
+
+@pytest.fixture
+def search(normal_card: Path, prepared: Path) -> Callable[..., Result]:
+    """The command on one template."""
 
     def run(budget: int, *more: str) -> Result:
         words = [
             "search", "range_drift", "--reference", str(normal_card), "--budget", str(budget),
             "--far", "0.2", "--blocks", "1", "--goals", "1", "--workers", "1",
-            "--out", str(tmp_path), *more,
+            "--out", str(prepared), *more,
         ]  # fmt: skip
         return CliRunner().invoke(oracle_sim, words)
 
@@ -84,9 +100,8 @@ REQUIREMENTS = """requirements:
 
 @pytest.mark.parametrize(("most", "passed"), [(9.0, True), (-9.0, False)])
 def test_requirements_are_an_oracle_and_robustness_is_its_score(
-    recorded_run: RecordedRuns, tmp_path: Path, most: float, passed: bool
+    prepared: Path, tmp_path: Path, most: float, passed: bool
 ) -> None:
-    linked(recorded_run(CONTROL, 0, OF_SEARCH), tmp_path / CONTROLS)
     (tmp_path / "mine.yaml").write_text(REQUIREMENTS.format(most), "utf-8")
     words = [
         "search", "range_drift", "--oracle", str(tmp_path / "mine.yaml"), "--budget", "1",
@@ -109,13 +124,12 @@ def test_requirements_are_an_oracle_and_robustness_is_its_score(
     ],
 )
 def test_an_unusable_oracle_ends_the_search_with_a_reason(
-    recorded_run: RecordedRuns, tmp_path: Path, oracle: str, far: str, reason: str
+    recorded_run: RecordedRuns, prepared: Path, oracle: str, far: str, reason: str
 ) -> None:
-    linked(recorded_run(CONTROL, 0, OF_SEARCH), tmp_path / CONTROLS)
     words = [
         "search", "range_drift", "--oracle", oracle, "--budget", "1", "--blocks", "1",
         "--normal", str(recorded_run(CONTROL, 1, OF_SEARCH).path), "--far", far,
-        "--goals", "1", "--workers", "1", "--out", str(tmp_path),
+        "--goals", "1", "--workers", "1", "--out", str(prepared),
     ]  # fmt: skip
     result = CliRunner().invoke(oracle_sim, words)
     assert result.exit_code != 0
