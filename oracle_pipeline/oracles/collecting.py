@@ -40,7 +40,7 @@ def traced_runs(recordings: Sequence[Path], normal: Sequence[Path] = ()) -> Trac
     Raises
     ------
     OracleError
-        There is no recording, or one cannot be read.
+        There is no recording, or some cannot be read; it names all of them.
     """
     found = {path: "normal" for top in normal for path in recordings_below(top)}
     found |= {path: "unknown" for top in recordings for path in recordings_below(top)}
@@ -48,6 +48,7 @@ def traced_runs(recordings: Sequence[Path], normal: Sequence[Path] = ()) -> Trac
         raise KindError("There is no recording; give run directories, bags or folders of these.")
     rows: list[dict[str, object]] = []
     traces: list[pd.DataFrame] = []
+    errors: list[str] = []
     for path, label in progress_bar(found.items(), unit="recording", desc="signals"):
         try:
             for row, trace in _traced(path, label):
@@ -55,7 +56,9 @@ def traced_runs(recordings: Sequence[Path], normal: Sequence[Path] = ()) -> Trac
                 rows.append(row | own_block)
                 traces.append(trace)
         except (OracleError, OSError) as error:
-            raise KindError(f"{path}: {error}") from error
+            errors.append(str(error))
+    if errors:
+        raise KindError("\n".join(errors))
     table = pd.DataFrame(rows, columns=[*KEYS, RELATION])
     alone = table["session"] < 0
     return TracedRuns(

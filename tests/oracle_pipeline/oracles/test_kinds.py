@@ -12,6 +12,7 @@ from oracle_pipeline.evaluation.kinds_comparison import UNION, compare_kinds
 from oracle_pipeline.features.engine.plugin import TopicArrivals
 from oracle_pipeline.oracles import human
 from oracle_pipeline.oracles.calibration import calibrated, union
+from oracle_pipeline.oracles.collecting import traced_runs
 from oracle_pipeline.oracles.implicit import Implicit
 from oracle_pipeline.oracles.invariants import Invariants
 from oracle_pipeline.oracles.kind import RELATION, KindError, Material
@@ -262,3 +263,10 @@ def test_a_trace_without_a_signal_is_judged_by_the_others():
         assert np.isfinite(calibrated(kind, runs).score).all()
     assert np.isfinite(Implicit().score(type(runs)(runs.table[:1], (trace(0)[:0],)))).all()
     assert isinstance(runs.table, pd.DataFrame)
+
+
+def test_all_recordings_that_cannot_be_read_are_named_at_once(tmp_path):
+    for name in ("first.mcap", "second.mcap"):
+        (tmp_path / name).write_bytes(b"no recording")
+    with pytest.raises(KindError, match=r"(?s)second\.mcap is not.*first\.mcap is not"):
+        traced_runs([tmp_path / "first.mcap"], [tmp_path / "second.mcap"])
