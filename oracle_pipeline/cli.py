@@ -186,7 +186,7 @@ def _computed(
 ) -> "tuple[RecordingFeatures, list[str]]":
     """Return the features of recordings, and what is wrong with those that cannot be read.
 
-    Several are read at once, each in a process of its own; their rows have paths as names.
+    Several are read at once, in processes of their own; their rows have paths as names.
     """
     work = partial(_features_of, plugins=plugins, choices=choices, strict=strict)
     if len(recordings) == 1:

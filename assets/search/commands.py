@@ -33,18 +33,14 @@ if TYPE_CHECKING:
     "differs from the way driven.  [default: the effect on the task]",
 )  # fmt: skip
 @click.option(
-    "--topic",
-    "topics",
-    multiple=True,
+    "--topic", "topics", multiple=True,
     help="Without TEMPLATE: a topic that may be altered in place; may be given more than once.",
-)
+)  # fmt: skip
 @click.option(
-    "--operator",
-    "operators",
-    multiple=True,
+    "--operator", "operators", multiple=True,
     help="With --topic: an operator to try, such as drift; may be given more than once.  "
     "[default: all]",
-)
+)  # fmt: skip
 @click.option(
     "--budget", default="100", show_default=True,
     help="When to end: a number of trials in total, or a time such as 30m or 2h.",

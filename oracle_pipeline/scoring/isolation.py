@@ -1,8 +1,8 @@
-"""Runs the work on one recording or card in a separate process, with limits on time and memory.
+"""Runs the work on recordings or cards in separate processes, with limits on time and memory.
 
 If a recording crashes its process, the other recordings of a suite still get their verdicts.
 Processes are forks, so that all modules are imported: of this process, or of a server if this one
-has threads.
+has threads. A process takes one recording after another, until one fails.
 """
 
 import importlib
@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import islice
@@ -208,41 +209,51 @@ def isolated_each(
     """Yield what `run_isolated` returns or raises for each job in turn, a few at once."""
     at_once = min(os.cpu_count() or 1, MOST_AT_ONCE)
     waiting, running, done = enumerate(jobs), dict[int, _Process](), dict[int, T | OracleError]()
+    idle: list[_Process] = []
     try:
         for number in range(len(jobs)):
             while number not in done:  # results of others may wait in memory
                 begun = max(0, min(at_once - len(running), 2 * at_once - len(done)))
                 for n, (work, path) in islice(waiting, begun):
                     try:
-                        running[n] = _Process(work, path, limits, warm=len(jobs) > 1)
+                        process = idle.pop() if idle else _Process(work, limits, warm=len(jobs) > 1)
+                        process.begin(work, path)
+                        running[n] = process
                     except OSError as error:  # no memory for a further process, perhaps
                         done[n] = BagError(f"{path} got no process to be read in: {error}.")
                 for n in _ended(running):
-                    done[n] = running.pop(n).answer()
+                    process = running.pop(n)
+                    answer = done[n] = process.answer()
+                    if isinstance(answer, OracleError):
+                        process.end()
+                    else:
+                        idle.append(process)
             yield done.pop(number)
     finally:
-        for process in running.values():
+        for process in (*running.values(), *idle):
             process.end()
 
 
 class _Process:
-    """A process that works on one recording, and the pipe of its answer."""
+    """A process that works on one recording at a time, and the pipe to it."""
 
-    def __init__(
-        self, work: Callable[[Path], object], path: Path, limits: Limits, *, warm: bool
-    ) -> None:
-        context = _context(getattr(work, "func", work).__module__, warm=warm)
-        self.pipe, sender = context.Pipe(duplex=False)
-        self.deadline_s = time.monotonic() + limits.seconds
-        self._path, self._limits = path, limits
-        arguments = (sender, work, path, limits)
-        self._process = context.Process(target=_work, args=arguments, daemon=True)
+    def __init__(self, first: Callable[[Path], object], limits: Limits, *, warm: bool) -> None:
+        context = _context(getattr(first, "func", first).__module__, warm=warm)
+        self.pipe, theirs = context.Pipe()
+        self._limits = limits
+        self._process = context.Process(target=_work, args=(theirs, limits), daemon=True)
         with _STARTING, no_program():
             self._process.start()
-        sender.close()  # so that the pipe closes when the process ends
+        theirs.close()  # so that the pipe closes when the process ends
+
+    def begin(self, work: Callable[[Path], object], path: Path) -> None:
+        """Give it a recording."""
+        self.deadline_s = time.monotonic() + self._limits.seconds
+        self._path = path
+        self.pipe.send((work, path))
 
     def answer(self) -> Any:
-        """Return its answer, or an error if there is none by now, and end it."""
+        """Return its answer, or an error if there is none by now."""
         try:
             if self.pipe.poll():
                 return self.pipe.recv()
@@ -250,15 +261,13 @@ class _Process:
                 f"{self._path} took longer than the limit of {self._limits.seconds:g} s; "
                 f"{self._limits.advice('--time-limit')}."
             )
-        except EOFError:
+        except (EOFError, ConnectionError):
             self._process.join()
             return BagError(
                 f"The process that read {self._path} died "
                 f"({_exit_reason(self._process.exitcode)}); perhaps it ran out of memory. "
                 "Please report the file."
             )
-        finally:
-            self.end()
 
     def end(self) -> None:
         """End it at once."""
@@ -276,28 +285,31 @@ def _ended(running: Mapping[int, _Process]) -> list[int]:
     return [n for n, each in running.items() if each.pipe in ready or now_s >= each.deadline_s]
 
 
-def _work(
-    sender: connection.Connection, work: Callable[[Path], object], path: Path, limits: Limits
-) -> None:
-    """Work in the other process, and send the result."""
-    size = _memory() + int(limits.gibibytes * _GIB)
-    resource.setrlimit(resource.RLIMIT_DATA, (size, size))
+def _work(pipe: connection.Connection, limits: Limits) -> None:
+    """Work in the other process on one recording after another, and send the results."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it without a traceback
     os.environ.pop(FOLDER_VARIABLE, None)  # the server may have an outdated value
-    answer: object
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    with suppress(EOFError):  # when the one that began it ends
+        while True:
+            work, path = pipe.recv()
+            size = _memory() + int(limits.gibibytes * _GIB)
+            resource.setrlimit(resource.RLIMIT_DATA, (size, hard))
+            pipe.send(_answer(work, path, limits))
+
+
+def _answer(work: Callable[[Path], object], path: Path, limits: Limits) -> object:
     try:
-        answer = work(path)
+        return work(path)
     except MemoryError:
-        answer = BagError(
+        return BagError(
             f"{path} needs more memory than the limit of {limits.gibibytes:g} GiB; "
             f"{limits.advice('--memory-limit')}."
         )
     except (OracleError, OSError) as error:
-        answer = BagError(str(error))
+        return BagError(str(error))
     except Exception as error:  # a bug of ours must not end the suite
-        answer = BagError(f"{path} cannot be read: {type(error).__name__}: {error}")
-    sender.send(answer)
-    sender.close()
+        return BagError(f"{path} cannot be read: {type(error).__name__}: {error}")
 
 
 def _memory() -> int:

@@ -94,6 +94,18 @@ def meet(path):
     return path.name
 
 
+def test_a_process_takes_the_next_recording_until_one_fails(monkeypatch, tmp_path):
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    paths = [tmp_path, tmp_path, tmp_path / "none", tmp_path]
+    first, second, error, third = isolated_each([(own_number, path) for path in paths])
+    assert first == second != third != os.getpid()
+    assert "none" in str(error)
+
+
+def own_number(path):
+    return path.stat() and os.getpid()
+
+
 @pytest.mark.parametrize("threads", [False, True], ids=["a fork of this", "a fork of a server"])
 def test_a_process_is_a_fork_of_one_without_other_threads(threads, tmp_path):
     """A fork of a process with threads might wait indefinitely for a lock of one of them."""
