@@ -17,12 +17,9 @@ ROUNDING = 1e-7  # of the largest magnitude: smaller deviations are rounding err
 FEWEST_HELD = 30  # numbers of a signal that can stand still
 
 _IN_UNIT = {
-    "mean": "mean",
-    "std": "standard deviation",
-    "min": "minimum",
-    "max": "maximum",
+    "mean": "mean", "std": "standard deviation", "min": "minimum", "max": "maximum",
     "change": "mean magnitude of the change from one message to the next",
-}
+}  # fmt: skip
 _PURE = {  # description, and smallest difference that means something
     "autocorrelation": ("correlation of a value with the next", 0.15),
     "held": ("longest share of the messages without a change", 0.05),
@@ -53,17 +50,15 @@ class SignalTable:
         prepared = [_as_they_are(each) for each in signals]
         self._signals = [each for each, _ in prepared]
         self._periods = [periods for _, periods in prepared]
-        self.features = {
-            _column(each.topic, name, statistic): _feature(name, statistic, unit)
+        features = [
+            (_column(each.topic, name, statistic), _feature(name, statistic, unit))
             for each in self._signals
             for name, unit in zip(each.names, each.units, strict=True)
             for statistic in OF_RUN
-        }
-        self.of_windows = {
-            column: feature
-            for column, feature in self.features.items()
-            if column.rpartition(".")[2] in OF_WINDOW
-        }
+        ]
+        self.features = dict(features)
+        self.of_windows = {name: each for name, each in features if _is_of_window(name)}
+        self._columns = [name for name, _ in features]  # two signals may have one name
 
     def values(self, span: Span, *, per_window: bool = False) -> dict[str, float]:
         """Return the statistics of a span by column; NaN where a signal has too few numbers."""
@@ -76,12 +71,16 @@ class SignalTable:
             for each, periods in zip(self._signals, self._periods, strict=True)
         ]
         numbers = np.concatenate([each.T.ravel() for each in found]) if found else np.empty(0)
-        columns = self.of_windows if per_window else self.features
+        columns = filter(_is_of_window, self._columns) if per_window else self._columns
         return dict(zip(columns, numbers.tolist(), strict=True))
 
 
 def _column(topic: str, name: str, statistic: str) -> str:
     return f"{SIGNALS}{topic}/{name}.{statistic}"
+
+
+def _is_of_window(column: str) -> bool:
+    return column.rpartition(".")[2] in OF_WINDOW
 
 
 def _feature(name: str, statistic: str, unit: str) -> Feature:

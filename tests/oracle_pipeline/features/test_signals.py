@@ -11,8 +11,9 @@ from oracle_pipeline import features
 from oracle_pipeline.bags.types import message_class
 from oracle_pipeline.datasets import signal_columns
 from oracle_pipeline.features import build_manager
-from oracle_pipeline.features.signals.collector import MOST_OF_TOPIC, MOST_SIGNALS
-from oracle_pipeline.features.signals.statistics import OF_RUN
+from oracle_pipeline.features.engine.spans import Span
+from oracle_pipeline.features.signals.collector import MOST_OF_TOPIC, MOST_SIGNALS, Signals
+from oracle_pipeline.features.signals.statistics import OF_RUN, SignalTable
 from oracle_pipeline.opened_run import open_run
 from tests.oracle_pipeline.features.test_transforms import transform
 
@@ -33,6 +34,16 @@ def logged(folder, **columns):
     path = folder / "log.csv"
     pd.DataFrame({"time": TIME_S, **columns}).to_csv(path, index=False)
     return path
+
+
+@pytest.mark.parametrize("per_window", [False, True])
+def test_a_field_may_be_named_as_the_rate_of_a_counter_is(per_window):
+    names, times_ns = ("count", "count.rate"), np.arange(COUNT) * 50_000_000
+    values = np.column_stack([np.arange(COUNT), np.full(COUNT, 7.0)])
+    table = SignalTable([Signals("/log", names, ("", ""), times_ns, values)])
+    found = table.values(Span(0, 10_000_000_000), per_window=per_window)
+    (rate,) = [value for name, value in found.items() if name.endswith("count.rate.mean")]
+    assert rate == 7.0
 
 
 @given(st.integers(0, 1000), st.floats(0.1, 1e3), st.floats(-1e3, 1e3))
