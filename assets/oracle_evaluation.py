@@ -41,7 +41,7 @@ def oracle_evaluation(
         graph_differences=_graph_differences(store, fleet, set(df["run_id"])),
         grid=_mutants(store, fleet),
         progress=lambda step: context.log.info(f"Evaluating: {step}."),
-        each=partial(fleet.results, done="cards learned and their runs judged"),
+        each=partial(fleet.results, done="folds judged"),
     )
     report = evaluation_report(evaluation)
     context.log.info(f"{report.summary['headline']} {report.summary['verdicts']}".strip())
