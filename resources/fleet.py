@@ -5,7 +5,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import dagster as dg
 from pydantic import Field, PrivateAttr
@@ -96,11 +96,12 @@ class Fleet(dg.ConfigurableResource[None]):
         dagster.Failure
             A job failed; as `outcomes`.
         """
-        found = {outcome.job: outcome for outcome in self.outcomes(function, jobs, done)}
-        for outcome in found.values():
+        found: dict[J, R] = {}
+        for outcome in self.outcomes(function, jobs, done):
             if outcome.error is not None:
-                raise dg.Failure(outcome.error, allow_retries=False)  # the log names the job
-        return [found[job].result for job in jobs]  # type: ignore[misc]  # there is no error
+                raise dg.Failure(f"{outcome.job}: {outcome.error}", allow_retries=False)
+            found[outcome.job] = cast(R, outcome.result)
+        return [found[job] for job in jobs]
 
     def _fan_out(self, function: Callable[[J], R], jobs: Sequence[J]) -> Iterator[JobOutcome[J, R]]:
         if not self.address:

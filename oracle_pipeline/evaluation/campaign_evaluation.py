@@ -104,9 +104,8 @@ def evaluate(
     DatasetError
         The tables do not fit together.
     """
-    steps = _Steps(
-        JudgedRuns.of(features, windows, truth), observations or {}, seed, progress, each
-    )
+    campaign = JudgedRuns.of(features, windows, truth)
+    steps = _Steps(campaign, observations or {}, seed, progress, each)
     with single_threaded():
         return _evaluated(steps, truth, graph_differences, grid)
 

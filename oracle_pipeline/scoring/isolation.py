@@ -216,7 +216,9 @@ def isolated_each(
                 begun = max(0, min(at_once - len(running), 2 * at_once - len(done)))
                 for n, (work, path) in islice(waiting, begun):
                     try:
-                        process = idle.pop() if idle else _Process(work, limits, warm=len(jobs) > 1)
+                        if not (idle and idle[-1].is_alive):
+                            idle.append(_Process(work, limits, warm=len(jobs) > 1))
+                        process = idle.pop()
                         process.begin(work, path)
                         running[n] = process
                     except OSError as error:  # no memory for a further process, perhaps
@@ -245,6 +247,11 @@ class _Process:
         with _STARTING, no_program():
             self._process.start()
         theirs.close()  # so that the pipe closes when the process ends
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it can take a recording."""
+        return self._process.is_alive()
 
     def begin(self, work: Callable[[Path], object], path: Path) -> None:
         """Give it a recording."""

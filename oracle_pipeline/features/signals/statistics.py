@@ -57,8 +57,9 @@ class SignalTable:
             for statistic in OF_RUN
         ]
         self.features = dict(features)
-        self.of_windows = {name: each for name, each in features if _is_of_window(name)}
-        self._columns = [name for name, _ in features]  # two signals may have one name
+        self._columns = [column for column, _ in features]  # two signals may have one name
+        self._window_columns = [c for c in self._columns if c.rpartition(".")[2] in OF_WINDOW]
+        self.of_windows = {column: self.features[column] for column in self._window_columns}
 
     def values(self, span: Span, *, per_window: bool = False) -> dict[str, float]:
         """Return the statistics of a span by column; NaN where a signal has too few numbers."""
@@ -71,16 +72,12 @@ class SignalTable:
             for each, periods in zip(self._signals, self._periods, strict=True)
         ]
         numbers = np.concatenate([each.T.ravel() for each in found]) if found else np.empty(0)
-        columns = filter(_is_of_window, self._columns) if per_window else self._columns
+        columns = self._window_columns if per_window else self._columns
         return dict(zip(columns, numbers.tolist(), strict=True))
 
 
 def _column(topic: str, name: str, statistic: str) -> str:
     return f"{SIGNALS}{topic}/{name}.{statistic}"
-
-
-def _is_of_window(column: str) -> bool:
-    return column.rpartition(".")[2] in OF_WINDOW
 
 
 def _feature(name: str, statistic: str, unit: str) -> Feature:

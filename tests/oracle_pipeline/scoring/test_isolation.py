@@ -102,6 +102,24 @@ def test_a_process_takes_the_next_recording_until_one_fails(monkeypatch, tmp_pat
     assert "none" in str(error)
 
 
+def test_a_process_that_dies_after_its_answer_costs_no_other_recording(monkeypatch, tmp_path):
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    numbers = isolated_each([(own_number, tmp_path)] * 3)
+    first = next(numbers)
+    os.kill(first, signal.SIGKILL)
+    while is_running(first):
+        time.sleep(0.01)
+    second, third = numbers
+    assert second == third != first
+
+
+def is_running(number):
+    try:
+        return Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
 def own_number(path):
     return path.stat() and os.getpid()
 
