@@ -1,6 +1,8 @@
 """CSV and Parquet: a file, or a folder of files, each with the messages of one topic."""
 
+import codecs
 import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,15 +13,29 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from oracle_pipeline.logs.files import tables_in
-from oracle_pipeline.logs.layout import SECONDS, Layout, TopicLayout, factor, find_layout
+from oracle_pipeline.logs.layout import (
+    LAYOUT_FILE,
+    SECONDS,
+    Layout,
+    TopicLayout,
+    factor,
+    find_layout,
+)
 from oracle_pipeline.logs.log import Log, LogError, LogTopic, grouped, reading
 from oracle_pipeline.logs.recording import guessed_type
 
 _TIMES = re.compile(
-    r"%?(?:time|timestamp|stamp|t|elapsed|seconds|sec|secs|date|datetime)"
-    r"(?:[_ .\[(]*(?P<unit>s|sec|ms|msec|us|usec|ns|nsec)[\])]*)?",
+    r"[%_]*(?:time|timestamp|stamp|t|elapsed|seconds|sec|secs|date|date[ _/-]?time)"
+    r"(?:[_ .\[(]*[mun]?s(?:ec(?:ond)?s?)?[\])]*)?",
     re.IGNORECASE,
 )
+_LIKE_TIMES = re.compile(r"time|stamp|epoch|clock", re.IGNORECASE)  # if they never fall
+_UNIT = re.compile(
+    r"(?:[_ .\[(]|time|stamp|^t)([mun]?s)(?:ec(?:ond)?s?)?[\])]*$", re.IGNORECASE
+)  # of a time, at the end of its name
+_COUNTERS = re.compile(r"unnamed: 0|index|idx|row|seq|frame|sample|id", re.IGNORECASE)
+_REMARKS = ("#", "sep=")  # begin lines above the names of columns
+_COMMA = re.compile(r'(?:^|[;\t ])"?-?\d+,\d+(?:e[+-]?\d+)?"?(?=[;\t ]|$)', re.I | re.M)
 _NUMBERS = re.compile(r"[\[(]?\s*-?[\d.].*[\d.]\s*[\])]?")
 _STEPS = (("ns", 2e6), ("us", 2e3), ("ms", 2.0))  # a robot logs more than a row in two seconds
 _LABELS = {"label", "labels", "class", "target", "anomaly", "is_anomaly"}  # answers, not signals
@@ -125,7 +141,7 @@ def _header(file: Path) -> tuple[str, ...]:
     with reading(file, "a table"):
         if file.suffix.lower() == ".parquet":
             return tuple(pq.read_schema(file).names)
-        return tuple(pd.read_csv(file, sep=_separator(file), nrows=0).columns)
+        return tuple(pd.read_csv(file, **_dialect(file), nrows=0).columns)
 
 
 def _read(file: Path) -> pd.DataFrame:
@@ -133,17 +149,46 @@ def _read(file: Path) -> pd.DataFrame:
         if file.suffix.lower() == ".parquet":
             frame = pd.read_parquet(file)
         else:
-            frame = pd.read_csv(file, sep=_separator(file), skipinitialspace=True)
+            frame = pd.read_csv(file, **_dialect(file), skipinitialspace=True)
         if frame.empty:
             raise ValueError("it has no rows")
-        return frame.rename(columns=lambda name: str(name).strip())
+        frame = frame.rename(columns=lambda name: str(name).strip())
+        names = {name.lower(): name for name in frame.columns}
+        if names.keys() >= {"date", "time"} and frame[names["date"]].dtype.kind not in "biufM":
+            time = frame[names["time"]].astype(str)
+            frame[names["time"]] = frame.pop(names["date"]).str.cat(time, sep=" ")
+        return frame
 
 
-def _separator(file: Path) -> str:
-    """Return the commonest separator in the first line of a CSV."""
+def _dialect(file: Path) -> dict[str, Any]:
+    """Return how a CSV is written, as arguments of pandas, by its first lines."""
     with file.open("rb") as source:
-        line = source.readline(65536)
-    return max(",;\t", key=lambda mark: line.count(mark.encode()))
+        begin = source.read(65536)
+    wide = begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    encoding = "utf-16" if wide else "utf-8"
+    try:
+        text = codecs.getincrementaldecoder(encoding)().decode(begin)
+    except UnicodeDecodeError:
+        encoding, text = "cp1252", begin.decode("cp1252", "replace")
+    lines = text.removeprefix("\ufeff").splitlines()
+    first = next((n for n, line in enumerate(lines) if _is_row(line)), 0)
+    row, above = lines[first] if lines else "", lines[first - 1] if first else ""
+    mark = max(",;\t", key=row.count)
+    mark = mark if mark in row else r"\s+"
+    found: dict[str, Any] = {"sep": mark, "skiprows": first, "encoding": encoding}
+    if mark != "," and _COMMA.search(text):
+        found["decimal"] = ","
+    cells, names = (re.split(mark, line.strip("# ")) for line in (row, above))
+    numbers = pd.to_numeric(pd.Series(cells), errors="coerce").notna()
+    if above and len(names) == len(cells) and numbers.any():  # as `numpy.savetxt` writes its header
+        found |= {"header": None, "names": names}
+    elif "." in row and numbers.all():
+        found |= {"header": None, "names": [f"column_{n + 1}" for n in range(len(cells))]}
+    return found
+
+
+def _is_row(line: str) -> bool:
+    return bool(line.strip()) and not line.startswith(_REMARKS)
 
 
 def _with_time(
@@ -154,53 +199,70 @@ def _with_time(
         return about
     column = about.time_column
     if not column:
-        column = next((name for name in frame.columns if _TIMES.fullmatch(name)), "")
+        named = list(filter(_TIMES.fullmatch, frame.columns))
+        like = (name for name in frame.columns if _LIKE_TIMES.search(name))
+        column = [*named, *(name for name in like if _rises(frame[name])), ""][0]
     if column not in frame.columns:
         raise LogError(
             f"{file} has no column {column}." if column else
-            f"{file} has no column of time. Name it in oracle_log.yaml beside it: "
+            f"{file} has no column of time, but {', '.join(frame.columns[:8])}. Name one in "
+            f"{LAYOUT_FILE} beside it: "
             f"`topics: [{{file: {file.name}, time: {{column: NAME, unit: s}}}}]`, or give "
             "`time: {rate: ROWS_A_SECOND}`."
         )  # fmt: skip
     unit = about.time_unit
-    if not unit and pd.api.types.is_numeric_dtype(frame[column]):
-        unit = _guessed_unit(column, frame[column].to_numpy(np.float64))
+    numbers = _numbers(frame[column])
+    if not unit and numbers is not None:
+        unit = _guessed_unit(column, numbers.ravel().astype(np.float64))
         notes.append(f"{file.name}: {column} is taken as the time in {unit}.")
     return replace(about, time_column=column, time_unit=unit)
 
 
+def _rises(column: pd.Series) -> bool:
+    return column.is_monotonic_increasing and column.nunique() > 1
+
+
 def _guessed_unit(column: str, values: NDArray[np.float64]) -> str:
     """Return the unit of a time, by its name, its size since 1970, or its steps."""
-    match = _TIMES.fullmatch(column)
-    if match and match["unit"]:
-        return match["unit"].removesuffix("ec").removesuffix("e")
+    if match := _UNIT.search(column):
+        return match[1].lower()
     largest = float(np.nanmax(np.abs(values), initial=0.0))
     for unit, since_1970 in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)):
         if largest > since_1970:
             return unit
-    steps = np.abs(np.diff(values))
+    steps = np.diff(np.sort(values))
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     return next((unit for unit, least in _STEPS if step >= least), "s")
 
 
 def _times_ns(file: Path, frame: pd.DataFrame, about: TopicLayout) -> NDArray[np.float64]:
     """Return the times [ns], NaN where there is none."""
-    times: NDArray[np.float64]
     if about.rate_hz:
         return np.round(np.arange(len(frame)) * (1e9 / about.rate_hz))
     column = frame[about.time_column]
-    if pd.api.types.is_numeric_dtype(column):
-        times = column.to_numpy(np.float64) * (SECONDS[about.time_unit or "s"] * 1e9)
+    times = _numbers(column)
+    if times is not None and times.ndim == 1:
+        times = times * (SECONDS[about.time_unit or "s"] * 1e9)
     else:
-        dates = pd.to_datetime(column, errors="coerce", utc=True)
-        times = np.array(dates.dt.as_unit("ns").astype(np.int64), dtype=np.float64)
-        times[dates.isna().to_numpy()] = np.nan
+        times = _clock_ns(file, column)
     if not np.isfinite(times).any():
         raise LogError(f"{file}: {about.time_column} holds no time.")
     times = np.where(np.isfinite(times), times, np.nan)
     if np.nanmin(times) < 0.0:  # bags begin in 1970
         times = times - np.nanmin(times)
     return np.asarray(times, dtype=np.float64)
+
+
+def _clock_ns(file: Path, column: pd.Series) -> NDArray[np.float64]:
+    """Return times of day, or else dates [ns]."""
+    found: Any = pd.to_timedelta(column.astype(str), errors="coerce")
+    with reading(file, "a table"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # dates in a form of their own
+        if found.notna().mean() < _MOSTLY:
+            found = pd.to_datetime(column, errors="coerce", utc=True)
+        times = np.array(found.dt.as_unit("ns").astype(np.int64), dtype=np.float64)
+    times[found.isna().to_numpy()] = np.nan
+    return times
 
 
 def _columns(
@@ -222,7 +284,9 @@ def _columns(
             notes.append(f"{file.name}: {name} looks like a label and is not used.")
             continue
         values = _numbers(frame[name])
-        if values is not None:
+        if values is not None and _COUNTERS.fullmatch(name) and (np.diff(values) == 1).all():
+            unused.append(name)
+        elif values is not None:
             scale = factor(about.units[field]) if about.msgtype and field in about.units else 1.0
             columns[field] = values * scale if scale != 1.0 else values
         elif frame[name].nunique() == 1:
@@ -230,7 +294,7 @@ def _columns(
         else:
             unused.append(name)
     if unused:
-        notes.append(f"{file.name}: {', '.join(unused[:8])} hold no numbers and are not used.")
+        notes.append(f"{file.name}: not used, as text or numbers of rows: {', '.join(unused[:8])}.")
     return grouped(columns), texts
 
 

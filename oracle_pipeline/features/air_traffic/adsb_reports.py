@@ -21,41 +21,27 @@ from oracle_pipeline.features.geometry.wgs84 import Site, cartesian
 from oracle_pipeline.features.statistics.reduction import largest, mean, quantile, within
 
 _RADAR_FEATURES = (
-    fp.Feature(
-        "position_residual", "m", 20.0,
+    fp.Feature("position_residual", "m", 20.0,
         "distance between ADS-B and secondary radar positions, median, maximum over the aircraft",
-        "domain",
-    ),
-    fp.Feature(
-        "altitude_residual", "m", 8.0,
+        "domain"),
+    fp.Feature("altitude_residual", "m", 8.0,
         "absolute difference between ADS-B and secondary radar altitudes, median, maximum over the "
-        "aircraft", "domain",
-    ),
+        "aircraft", "domain"),
 )  # fmt: skip
 _REPORT_FEATURES = (
-    fp.Feature(
-        "velocity_residual", "m/s", 0.5,
+    fp.Feature("velocity_residual", "m/s", 0.5,
         "difference between the reported ground velocity and that of the positions reported over "
-        "5 s, median, maximum over the aircraft", "domain",
-    ),
-    fp.Feature(
-        "report_interval", "s", 0.05, "mean time between reports, maximum over the aircraft",
-        "domain", timing=True,
-    ),
-    fp.Feature(
-        "report_gap", "s", 0.5, "longest time between two reports of an aircraft", "domain",
-        timing=True,
-    ),
-    fp.Feature(
-        "appearances", "1", 0.5,
+        "5 s, median, maximum over the aircraft", "domain"),
+    fp.Feature("report_interval", "s", 0.05, "mean time between reports, maximum over the aircraft",
+        "domain", timing=True),
+    fp.Feature("report_gap", "s", 0.5, "longest time between two reports of an aircraft", "domain",
+        timing=True),
+    fp.Feature("appearances", "1", 0.5,
         "aircraft that first report far inside the airspace, not at its border or take-off",
-        "domain", extensive=True,
-    ),
-    fp.Feature(
-        "disappearances", "1", 0.5,
+        "domain", extensive=True),
+    fp.Feature("disappearances", "1", 0.5,
         "aircraft that last report far inside the airspace, not at its border or landing",
-        "domain", extensive=True,
-    ),
+        "domain", extensive=True),
 )  # fmt: skip
 
 _LAG_S = 5.0  # interval over which positions are differenced

@@ -20,23 +20,17 @@ _TRACK_FEATURES = (
     fp.Feature("adsb_only", "1", 0.01, "share of the tracks without radar, mean", "domain"),
     fp.Feature("radar_only", "1", 0.01, "share of the tracks without ADS-B, mean", "domain"),
     fp.Feature("nameless", "1", 0.01, "share of the tracks without ICAO address, mean", "domain"),
-    fp.Feature(
-        "longest_adsb_only", "s", 5.0, "longest time that a track had ADS-B but no radar",
-        "domain", per_window=False, extensive=True,
-    ),
-    fp.Feature(
-        "longest_radar_only", "s", 5.0, "longest time that a track had no ADS-B",
-        "domain", per_window=False, extensive=True,
-    ),
+    fp.Feature("longest_adsb_only", "s", 5.0, "longest time that a track had ADS-B but no radar",
+        "domain", per_window=False, extensive=True),
+    fp.Feature("longest_radar_only", "s", 5.0, "longest time that a track had no ADS-B",
+        "domain", per_window=False, extensive=True),
     fp.Feature(
         "closest_pair", "m", 50.0, "distance of the two closest tracks, 5th percentile", "domain",
         behaviour=True,
     ),
-    fp.Feature(
-        "closest_pair_speed", "m/s", 2.0,
+    fp.Feature("closest_pair_speed", "m/s", 2.0,
         "relative speed of the two closest tracks, median", "domain",
-        behaviour=True,
-    ),
+        behaviour=True),
 )  # fmt: skip
 _ADVISORY_FEATURES = (
     fp.Feature(

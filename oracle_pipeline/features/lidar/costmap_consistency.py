@@ -24,11 +24,9 @@ from oracle_pipeline.features.lidar.map_consistency import MapGrid
 from oracle_pipeline.features.statistics.reduction import largest, mean
 
 FEATURES = (
-    fp.Feature(
-        "unmarked", "1", 0.02,
+    fp.Feature("unmarked", "1", 0.02,
         "share of a scan's returns inside the local costmap with no lethal cell at or next to "
-        "them, mean, maximum over the scanners", "navigation",
-    ),
+        "them, mean, maximum over the scanners", "navigation"),
 )  # fmt: skip
 
 _FEWEST = 5  # returns inside the costmap; with fewer, the share is NaN

@@ -24,11 +24,9 @@ FEATURES = (
     fp.Feature("range_variance_max", "m^2", 1e-3, f"{_VARIANCE}maximum over scanners", "domain"),
     fp.Feature("non_finite_mean", "1", 1e-3, f"{_NON_FINITE}mean over scanners", "domain"),
     fp.Feature("non_finite_max", "1", 1e-3, f"{_NON_FINITE}maximum over scanners", "domain"),
-    fp.Feature(
-        "clearance", "m", 0.02,
+    fp.Feature("clearance", "m", 0.02,
         "range of the nearest return in a scan, 5th percentile over the scans, maximum over the "
-        "scanners", "domain", behaviour=True,
-    ),
+        "scanners", "domain", behaviour=True),
 )  # fmt: skip
 
 

@@ -13,14 +13,10 @@ from oracle_pipeline.features.statistics.reduction import within
 from oracle_pipeline.robots.roles import LOCAL_COSTMAP
 
 FEATURES = fp.timed(
-    fp.Feature(
-        "lethal_appearing", "1/s", 1.0,
-        "cells of the local costmap that become lethal per second, mean", "navigation",
-    ),
-    fp.Feature(
-        "lethal_vanishing", "1/s", 1.0, "cells that cease to be lethal per second, mean",
-        "navigation",
-    ),
+    fp.Feature("lethal_appearing", "1/s", 1.0,
+        "cells of the local costmap that become lethal per second, mean", "navigation"),
+    fp.Feature("lethal_vanishing", "1/s", 1.0, "cells that cease to be lethal per second, mean",
+        "navigation"),
 )  # fmt: skip
 
 LETHAL = 100  # value of a cell

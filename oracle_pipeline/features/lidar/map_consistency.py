@@ -34,26 +34,18 @@ from oracle_pipeline.features.statistics.reduction import largest, quantile, row
 from oracle_pipeline.robots.roles import MAP, POSE
 
 FEATURES = (
-    fp.Feature(
-        "residual", "m", 5e-3,
+    fp.Feature("residual", "m", 5e-3,
         "distance from a return to the nearest obstacle of the map at its bearing, median, maximum "
-        "over the scanners", "navigation",
-    ),
-    fp.Feature(
-        "unexpected", "1", 5e-3,
+        "over the scanners", "navigation"),
+    fp.Feature("unexpected", "1", 5e-3,
         f"share of a scan's returns {CLOSER_M} m or more in front of the map's obstacles, 95th "
-        "percentile, maximum over the scanners", "navigation",
-    ),
-    fp.Feature(
-        "unexpected_persistence", "1", 0.01,
+        "percentile, maximum over the scanners", "navigation"),
+    fp.Feature("unexpected_persistence", "1", 0.01,
         f"share of the scans with returns as in unexpected in the same {CELL_M} m grid cell, "
-        "maximum over the cells and scanners", "navigation",
-    ),
-    fp.Feature(
-        "looked_through", "1", 5e-3,
+        "maximum over the cells and scanners", "navigation"),
+    fp.Feature("looked_through", "1", 5e-3,
         f"share of the map's visible obstacles for which a scan measures {CLOSER_M} m or more "
-        "behind them, 95th percentile, maximum over the scanners", "navigation",
-    ),
+        "behind them, 95th percentile, maximum over the scanners", "navigation"),
 )  # fmt: skip
 
 _OCCUPIED = 65  # of 100, least value of a solid cell; Nav2's default threshold

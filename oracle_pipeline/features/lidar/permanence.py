@@ -50,31 +50,21 @@ _FAR_M = 0.6  # largest motion of the same object between two scans
 
 _SCANS = "maximum over the scanners"
 FEATURES = (
-    fp.Feature(
-        "appeared", "1", 2e-3,
+    fp.Feature("appeared", "1", 2e-3,
         f"share of a scan's returns for which the scan {_EARLIER_S:g} s earlier measures "
-        f"{CLOSER_M} m or more behind them, 95th percentile, {_SCANS}", "domain",
-    ),
-    fp.Feature(
-        "vanished", "1", 2e-3,
+        f"{CLOSER_M} m or more behind them, 95th percentile, {_SCANS}", "domain"),
+    fp.Feature("vanished", "1", 2e-3,
         f"share of the returns {_EARLIER_S:g} s earlier for which a scan measures {CLOSER_M} m or "
-        f"more behind them, 95th percentile, {_SCANS}", "domain",
-    ),
-    fp.Feature(
-        "changed_peak", "1", 5e-3,
+        f"more behind them, 95th percentile, {_SCANS}", "domain"),
+    fp.Feature("changed_peak", "1", 5e-3,
         f"share that appeared or vanished, largest held over three consecutive scans, {_SCANS}",
-        "domain",
-    ),
-    fp.Feature(
-        "loose", "m", 0.01,
+        "domain"),
+    fp.Feature("loose", "m", 0.01,
         "apparent displacement of the fastest compact object between two scans after motion "
-        f"compensation, 90th percentile, {_SCANS}", "domain",
-    ),
-    fp.Feature(
-        "driven_across", "1", 0.01,
+        f"compensation, 90th percentile, {_SCANS}", "domain"),
+    fp.Feature("driven_across", "1", 0.01,
         f"share of the scans with returns where the robot drives later, {_SCANS}", "domain",
-        per_window=False,
-    ),
+        per_window=False),
 )  # fmt: skip
 
 

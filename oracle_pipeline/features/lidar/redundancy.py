@@ -29,34 +29,24 @@ from oracle_pipeline.features.statistics import reduction
 from oracle_pipeline.features.statistics.times import nearest
 
 _SCANNER_FEATURES = (
-    fp.Feature(
-        "scan_residual", "m", 1e-3,
+    fp.Feature("scan_residual", "m", 1e-3,
         "distance from a return to the nearest return of another scanner, median, maximum over the "
-        "pairs of scanners", "domain",
-    ),
-    fp.Feature(
-        "scan_contradicted", "1", 2e-3,
+        "pairs of scanners", "domain"),
+    fp.Feature("scan_contradicted", "1", 2e-3,
         f"share of a scan's returns for which another scanner measures {CLOSER_M} m or more behind "
-        "them, 95th percentile, maximum over the pairs of scanners", "domain",
-    ),
-    fp.Feature(
-        "scan_persistence", "1", 0.01,
+        "them, 95th percentile, maximum over the pairs of scanners", "domain"),
+    fp.Feature("scan_persistence", "1", 0.01,
         f"share of the scans with returns as in scan_contradicted in the same {CELL_M} m grid "
-        "cell, maximum over the cells and the pairs of scanners", "domain",
-    ),
+        "cell, maximum over the cells and the pairs of scanners", "domain"),
 )  # fmt: skip
 _RANGE_FEATURES = (
-    fp.Feature(
-        "range_residual", "m", 5e-3,
+    fp.Feature("range_residual", "m", 5e-3,
         "absolute difference between a Range sensor and the nearest return of a laser scanner in "
-        "its field of view, median, maximum over the pairs", "domain",
-    ),
-    fp.Feature(
-        "range_contradicted", "1", 5e-3,
+        "its field of view, median, maximum over the pairs", "domain"),
+    fp.Feature("range_contradicted", "1", 5e-3,
         f"share of the Range messages whose range_residual is above {CLOSER_M} m, maximum over "
         "the pairs",
-        "domain",
-    ),
+        "domain"),
 )  # fmt: skip
 
 _SIMULTANEOUS_S = 0.15  # most between compared measurements

@@ -22,21 +22,15 @@ from oracle_pipeline.features.statistics.arrays import autocorrelation, roughnes
 from oracle_pipeline.features.statistics.reduction import largest, quantile, row_medians
 
 FEATURES = (
-    fp.Feature(
-        "roughness", "1", 1e-3,
+    fp.Feature("roughness", "1", 1e-3,
         "absolute second difference of neighbouring ranges over the range, median, maximum over "
-        "the scanners", "domain",
-    ),
-    fp.Feature(
-        "innovation", "m", 1e-3,
+        "the scanners", "domain"),
+    fp.Feature("innovation", "m", 1e-3,
         "distance from a return to the nearest return of the previous scan after motion "
-        "compensation, median, maximum over the scanners", "domain",
-    ),
-    fp.Feature(
-        "innovation_whiteness", "1", 0.02,
+        "compensation, median, maximum over the scanners", "domain"),
+    fp.Feature("innovation_whiteness", "1", 0.02,
         "1 - lag-1 autocorrelation along the rays of the range change since the previous scan, "
-        "after motion compensation, median, maximum over the scanners", "domain",
-    ),
+        "after motion compensation, median, maximum over the scanners", "domain"),
 )  # fmt: skip
 
 _LONGEST_GAP_S = 1.0  # between compared scans

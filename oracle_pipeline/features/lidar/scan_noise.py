@@ -30,40 +30,26 @@ from oracle_pipeline.features.statistics.reduction import (
 
 _OF = "over the scanners"
 FEATURES = (
-    fp.Feature(
-        "smooth", "1", 5e-3,
+    fp.Feature("smooth", "1", 5e-3,
         "share of a scan's returns in long runs of rays that are much smoother (third difference) "
-        f"than the scan, 95th percentile, maximum {_OF}", "domain",
-    ),
-    fp.Feature(
-        "smooth_mean", "1", 3e-3,
+        f"than the scan, 95th percentile, maximum {_OF}", "domain"),
+    fp.Feature("smooth_mean", "1", 3e-3,
         "share of a scan's returns in shorter runs of rays that are much smoother (third "
-        f"difference) than the scan, mean over the scans, maximum {_OF}", "domain",
-    ),
-    fp.Feature(
-        "rough", "1", 5e-3,
+        f"difference) than the scan, mean over the scans, maximum {_OF}", "domain"),
+    fp.Feature("rough", "1", 5e-3,
         "share of a scan's returns in runs of rays that are much rougher (third difference) than "
-        f"the scan, 95th percentile, maximum {_OF}", "domain",
-    ),
-    fp.Feature(
-        "repeated", "1", 5e-3,
-        f"share of the scans with exactly the ranges of an earlier scan, maximum {_OF}", "domain",
-    ),
-    fp.Feature(
-        "still_noise_max", "m", 1e-3,
+        f"the scan, 95th percentile, maximum {_OF}", "domain"),
+    fp.Feature("repeated", "1", 5e-3,
+        f"share of the scans with exactly the ranges of an earlier scan, maximum {_OF}", "domain"),
+    fp.Feature("still_noise_max", "m", 1e-3,
         f"standard deviation of ranges while the robot stands still, median, maximum {_OF}",
-        "domain",
-    ),
-    fp.Feature(
-        "still_noise_min", "m", 1e-3,
+        "domain"),
+    fp.Feature("still_noise_min", "m", 1e-3,
         f"standard deviation of ranges while the robot stands still, median, minimum {_OF}",
-        "domain",
-    ),
-    fp.Feature(
-        "still_flicker", "1", 2e-3,
+        "domain"),
+    fp.Feature("still_flicker", "1", 2e-3,
         f"share of the ranges that change by more than {CLOSER_M} m while the robot stands still, "
-        f"mean, maximum {_OF}", "domain",
-    ),
+        f"mean, maximum {_OF}", "domain"),
 )  # fmt: skip
 
 _STRETCH = 4  # consecutive bends of a stretch

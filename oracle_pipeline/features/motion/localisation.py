@@ -17,29 +17,21 @@ from oracle_pipeline.features.statistics.reduction import quantile
 from oracle_pipeline.robots.roles import PLAN, POSE
 
 _BELIEF_FEATURES = (
-    fp.Feature(
-        "position_spread", "m", 0.01,
+    fp.Feature("position_spread", "m", 0.01,
         "standard deviation of the estimated position (square root of var x + var y), median",
-        "navigation",
-    ),
+        "navigation"),
     fp.Feature("yaw_spread", "rad", 0.01, "standard deviation of the yaw, median", "navigation"),
 )  # fmt: skip
 _CORRECTION_FEATURES = (
-    fp.Feature(
-        "position_correction", "m", 0.01,
-        "distance of a pose from the previous pose propagated by odometry, median", "navigation",
-    ),
-    fp.Feature(
-        "yaw_correction", "rad", 0.005,
-        "yaw of a pose relative to the previous pose propagated by odometry, median", "navigation",
-    ),
+    fp.Feature("position_correction", "m", 0.01,
+        "distance of a pose from the previous pose propagated by odometry, median", "navigation"),
+    fp.Feature("yaw_correction", "rad", 0.005,
+        "yaw of a pose relative to the previous pose propagated by odometry, median", "navigation"),
 )  # fmt: skip
 PLAN_FEATURES = (
-    fp.Feature(
-        "plan_offset", "m", 0.02,
+    fp.Feature("plan_offset", "m", 0.02,
         "distance from the robot's estimated position to the start of its plan, median",
-        "navigation",
-    ),
+        "navigation"),
 )  # fmt: skip
 
 

@@ -18,10 +18,8 @@ FEATURES = (
         "yaw_variance", "1", 1e-3, "circular variance of yaw, 1 - abs(mean(exp(i yaw)))", "domain",
         behaviour=True, extensive=True,
     ),
-    fp.Feature(
-        "total_turning", "rad", 0.05, "sum of the absolute yaw changes", "domain",
-        behaviour=True, extensive=True,
-    ),
+    fp.Feature("total_turning", "rad", 0.05, "sum of the absolute yaw changes", "domain",
+        behaviour=True, extensive=True),
     fp.Feature(
         "turning_per_metre", "rad/m", 0.05, "sum of the absolute yaw changes over the path length",
         "domain",

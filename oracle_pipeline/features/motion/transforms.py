@@ -21,36 +21,24 @@ from oracle_pipeline.features.statistics.times import nearest
 
 _TOPICS = "over the topics and transforms"
 FEATURES = (
-    fp.Feature(
-        "odometry_position", "m", 5e-3,
+    fp.Feature("odometry_position", "m", 5e-3,
         "distance between the pose of odometry and its transform with the same stamp, 95th "
-        f"percentile, maximum {_TOPICS}", "domain",
-    ),
-    fp.Feature(
-        "odometry_yaw", "rad", 1e-3,
+        f"percentile, maximum {_TOPICS}", "domain"),
+    fp.Feature("odometry_yaw", "rad", 1e-3,
         "yaw difference between odometry and its transform with the same stamp, 95th percentile, "
-        f"maximum {_TOPICS}", "domain",
-    ),
-    fp.Feature(
-        "localisation_position", "m", 5e-3,
+        f"maximum {_TOPICS}", "domain"),
+    fp.Feature("localisation_position", "m", 5e-3,
         "distance between the pose of localisation and that of the chained transforms, 95th "
-        f"percentile, maximum {_TOPICS}", "domain",
-    ),
-    fp.Feature(
-        "localisation_yaw", "rad", 5e-3,
+        f"percentile, maximum {_TOPICS}", "domain"),
+    fp.Feature("localisation_yaw", "rad", 5e-3,
         "yaw difference between localisation and the chained transforms, 95th percentile, "
-        f"maximum {_TOPICS}", "domain",
-    ),
-    fp.Feature(
-        "odometry_jump", "m", 5e-3,
+        f"maximum {_TOPICS}", "domain"),
+    fp.Feature("odometry_jump", "m", 5e-3,
         "distance of a pose of odometry from where its two neighbours say that it is, maximum "
-        "over the messages and topics", "domain",
-    ),
-    fp.Feature(
-        "odometry_yaw_jump", "rad", 5e-3,
+        "over the messages and topics", "domain"),
+    fp.Feature("odometry_yaw_jump", "rad", 5e-3,
         "yaw difference of a pose of odometry from what its two neighbours say, maximum over the "
-        "messages and topics", "domain",
-    ),
+        "messages and topics", "domain"),
 )  # fmt: skip
 
 _SAME_S = 0.02  # most time between the stamps of a compared pose and transform

@@ -16,41 +16,29 @@ from oracle_pipeline.features.statistics.reduction import mean
 from oracle_pipeline.robots.roles import COMMAND, REQUESTED_COMMAND
 
 _MONITOR_FEATURES = (
-    fp.Feature(
-        "monitor_stopped", "1", 0.01,
+    fp.Feature("monitor_stopped", "1", 0.01,
         "share of non-zero velocity commands that the collision monitor stopped", "navigation",
-        behaviour=True,
-    ),
-    fp.Feature(
-        "monitor_slowed", "1", 0.01,
+        behaviour=True),
+    fp.Feature("monitor_slowed", "1", 0.01,
         "share of non-zero velocity commands that the collision monitor slowed down", "navigation",
-        behaviour=True,
-    ),
-    fp.Feature(
-        "monitor_altered", "1", 0.01,
+        behaviour=True),
+    fp.Feature("monitor_altered", "1", 0.01,
         "share of non-zero velocity commands whose output is not a fraction of the command",
-        "navigation",
-    ),
+        "navigation"),
 )  # fmt: skip
 _COMMAND_FEATURES = fp.timed(
     fp.Feature(
         "command_zero", "1", 0.05, "share of the velocity commands that are zero", "navigation",
         behaviour=True,
     ),
-    fp.Feature(
-        "command_reversals", "1/min", 6.0,
+    fp.Feature("command_reversals", "1/min", 6.0,
         "sign changes of the commanded angular velocity per minute of commands", "navigation",
-        behaviour=True,
-    ),
-    fp.Feature(
-        "command_jerk", "m/s^3", 1.0, "mean absolute jerk of the commanded linear velocity",
+        behaviour=True),
+    fp.Feature("command_jerk", "m/s^3", 1.0, "mean absolute jerk of the commanded linear velocity",
         "navigation",
-        behaviour=True,
-    ),
-    fp.Feature(
-        "command_angular_jerk", "rad/s^3", 0.5, "mean absolute angular jerk of the commands",
-        "navigation", behaviour=True,
-    ),
+        behaviour=True),
+    fp.Feature("command_angular_jerk", "rad/s^3", 0.5, "mean absolute angular jerk of the commands",
+        "navigation", behaviour=True),
 )  # fmt: skip
 
 _STILL = 1e-3  # smaller speeds [m/s] and turns [rad/s] count as zero

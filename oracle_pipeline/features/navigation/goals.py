@@ -17,19 +17,15 @@ from oracle_pipeline.features.engine import plugin as fp
 from oracle_pipeline.robots.roles import BEHAVIOR_TREE, GOAL_STATUS, PLAN
 
 FEATURES = (
-    fp.Feature(
-        "duration", "s", 0.5, "time with an active goal", "navigation", behaviour=True,
-        extensive=True,
-    ),
+    fp.Feature("duration", "s", 0.5, "time with an active goal", "navigation", behaviour=True,
+        extensive=True),
     fp.Feature(
         "goals_reached", "1", 0.01, "share of the goals that ended, or take longer than any that "
         "ended, that were reached", "navigation", per_window=False, behaviour=True,
     ),
-    fp.Feature(
-        "time_per_planned_metre", "s/m", 0.1,
+    fp.Feature("time_per_planned_metre", "s/m", 0.1,
         "duration of the goals that ended over the total length of their first plans", "navigation",
-        per_window=False, behaviour=True,
-    ),
+        per_window=False, behaviour=True),
 )  # fmt: skip
 
 # States of action_msgs/msg/GoalStatus.

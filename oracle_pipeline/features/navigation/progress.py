@@ -21,45 +21,31 @@ from oracle_pipeline.features.statistics.reduction import mean, quantile, within
 from oracle_pipeline.robots.roles import BEHAVIOR_TREE, ODOMETRY
 
 _RECOVERY_FEATURES = (
-    fp.Feature(
-        "recoveries", "1/min", 0.5, "recovery behaviours (spin, back up, wait, drive) per "
-        "minute", "navigation", behaviour=True,
-    ),
+    fp.Feature("recoveries", "1/min", 0.5, "recovery behaviours (spin, back up, wait, drive) per "
+        "minute", "navigation", behaviour=True),
     fp.Feature(
         "costmap_clearings", "1/min", 0.5, "costmap clearings by the behaviour tree per minute",
         "navigation", behaviour=True,
     ),
 )  # fmt: skip
 PLAN_FEATURES = (
-    fp.Feature(
-        "replans", "1/min", 1.0, "plans to active goals per minute with one", "navigation",
-        behaviour=True,
-    ),
-    fp.Feature(
-        "plan_lengthening", "m", 0.05,
+    fp.Feature("replans", "1/min", 1.0, "plans to active goals per minute with one", "navigation",
+        behaviour=True),
+    fp.Feature("plan_lengthening", "m", 0.05,
         "increase in length from one plan to the next to the same goal, 95th percentile",
-        "navigation", behaviour=True,
-    ),
-    fp.Feature(
-        "progress", "m/s", 0.01, "decrease in plan length to a goal per second, median",
-        "navigation", behaviour=True,
-    ),
+        "navigation", behaviour=True),
+    fp.Feature("progress", "m/s", 0.01, "decrease in plan length to a goal per second, median",
+        "navigation", behaviour=True),
 )  # fmt: skip
 _DRIVE_FEATURES = (
-    fp.Feature(
-        "path_efficiency", "1", 0.01,
+    fp.Feature("path_efficiency", "1", 0.01,
         "length of the first plans over the distance driven, for goals that ended", "navigation",
-        per_window=False, behaviour=True,
-    ),
-    fp.Feature(
-        "stalled", "1", 0.01,
+        per_window=False, behaviour=True),
+    fp.Feature("stalled", "1", 0.01,
         "share of the time with an active goal in which the robot is less than 0.1 m from where "
-        "it was 5 s earlier", "navigation", behaviour=True,
-    ),
-    fp.Feature(
-        "longest_stall", "s", 1.0, "longest continuous stall, as in stalled", "navigation",
-        per_window=False, behaviour=True, extensive=True,
-    ),
+        "it was 5 s earlier", "navigation", behaviour=True),
+    fp.Feature("longest_stall", "s", 1.0, "longest continuous stall, as in stalled", "navigation",
+        per_window=False, behaviour=True, extensive=True),
     fp.Feature(
         "driven_without_goal", "m", 0.02, "distance driven without an active goal", "navigation",
         behaviour=True, extensive=True,

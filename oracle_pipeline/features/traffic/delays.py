@@ -39,16 +39,12 @@ FEATURES = fp.timed(
         )
         for name, msgtype in SENSORS.items()
     ),
-    fp.Feature(
-        "period_jitter", "1", 0.01,
+    fp.Feature("period_jitter", "1", 0.01,
         "median absolute deviation of the time between stamps over its median, maximum over the "
-        "topics of sensors", "domain",
-    ),
-    fp.Feature(
-        "late", "1", 0.05,
+        "topics of sensors", "domain"),
+    fp.Feature("late", "1", 0.05,
         "share of the messages whose latency is a period, and 25 ms, or more above the topic's "
-        "median, maximum over the topics of sensors", "domain",
-    ),
+        "median, maximum over the topics of sensors", "domain"),
 )  # fmt: skip
 
 _KINDS = {msgtype: name for name, msgtype in SENSORS.items()}

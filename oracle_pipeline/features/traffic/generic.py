@@ -48,25 +48,19 @@ _TIMING_FEATURES = fp.timed(
     fp.Feature("message_rate", "1/s", 1.0, "messages of all topics per second", share=_USUAL_SHARE),
     fp.Feature("byte_rate", "B/s", 100.0, "bytes of all topics per second", share=_USUAL_SHARE),
     fp.Feature("silent_topics", "1", 0.01, "share of the topics without messages"),
-    fp.Feature(
-        "steady_topics", "1", 0.05,
+    fp.Feature("steady_topics", "1", 0.05,
         "share of the topics that publish at a steady rate from start to end", per_window=False,
-        extensive=True,
-    ),
+        extensive=True),
     *_features(
         "jitter", "1", 0.05,
         "median absolute deviation of the time between messages over its median, steady topics",
         per_window=False,
     ),
-    fp.Feature(
-        "gap_max", "1", 1.0,
+    fp.Feature("gap_max", "1", 1.0,
         "longest time between messages over the topic's median, maximum over the steady topics",
-        per_window=False, extensive=True,
-    ),
-    fp.Feature(
-        "out_of_order_max", "1", 0.05,
-        "share of header stamps earlier than the previous message's, maximum over topics",
-    ),
+        per_window=False, extensive=True),
+    fp.Feature("out_of_order_max", "1", 0.05,
+        "share of header stamps earlier than the previous message's, maximum over topics"),
 )  # fmt: skip
 
 _BYTE_FEATURES = (

@@ -22,36 +22,24 @@ _Flows: TypeAlias = Mapping[Edge, int]  # messages or bytes by edge
 FEATURES = fp.timed(
     fp.Feature("flow_entropy", "nat", 0.01, "Shannon entropy of the edges' shares of all messages"),
     fp.Feature("byte_flow_entropy", "nat", 0.01, "Shannon entropy of the edges' shares of bytes"),
-    fp.Feature(
-        "flow_variance", "1", 0.01, "variance of the edges' message counts / squared mean",
-        share=0.01,
-    ),
+    fp.Feature("flow_variance", "1", 0.01, "variance of the edges' message counts / squared mean",
+        share=0.01),
     fp.Feature("largest_flow", "1", 1e-3, "largest share of all messages on a single edge"),
     fp.Feature("largest_byte_flow", "1", 1e-3, "largest share of all bytes on a single edge"),
-    fp.Feature(
-        "closeness_mean", "1", 1e-3,
+    fp.Feature("closeness_mean", "1", 1e-3,
         "closeness centrality by incoming paths, mean over the vertices; the length of an edge is "
-        "the mean message count over its own",
-    ),
-    fp.Feature(
-        "closeness_max", "1", 1e-3,
+        "the mean message count over its own"),
+    fp.Feature("closeness_max", "1", 1e-3,
         "closeness centrality by incoming paths, maximum over the vertices; the length of an edge "
-        "is the mean message count over its own",
-    ),
-    fp.Feature(
-        "imbalance", "1", 1e-3,
+        "is the mean message count over its own"),
+    fp.Feature("imbalance", "1", 1e-3,
         "sum over the ROS nodes of abs(received - published messages), over the messages of all "
-        "edges",
-    ),
-    fp.Feature(
-        "imbalance_max", "1", 1e-3,
-        "largest abs(received - published messages) of a ROS node, over the messages of all edges",
-    ),
-    fp.Feature(
-        "flow_change", "1", 1e-3,
+        "edges"),
+    fp.Feature("imbalance_max", "1", 1e-3,
+        "largest abs(received - published messages) of a ROS node, over the messages of all edges"),
+    fp.Feature("flow_change", "1", 1e-3,
         "total variation distance of the edges' message shares from those of the previous "
-        "interval, mean over the intervals",
-    ),
+        "interval, mean over the intervals"),
     fp.Feature("appeared_edges", "1", 1.0, "edges that the previous interval did not have"),
     fp.Feature("vanished_edges", "1", 1.0, "edges that only the previous interval had"),
 )  # fmt: skip

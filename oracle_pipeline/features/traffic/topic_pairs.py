@@ -36,21 +36,17 @@ FEATURES = (
         "rank_difference_min", "1", 5e-3,
         "1 - Spearman's correlation between the arrays of two topics, mean, minimum over the pairs",
     ),
-    fp.Feature(
-        "histogram_distance", "1", 2e-3,
+    fp.Feature("histogram_distance", "1", 2e-3,
         "Wasserstein-1 distance between the numbers of two topics, over the range of all numbers "
-        "of the type, maximum over the pairs",
-    ),
+        "of the type, maximum over the pairs"),
     fp.Feature(
         "roughness_ratio", "1", 0.3, "abs(ln) of two topics' ratio of median roughness, maximum"
     ),
     *fp.timed(
         fp.Feature("rate_ratio", "1", 0.05, "abs(ln) of two topics' ratio of messages, maximum")
     ),
-    fp.Feature(
-        "identity", "1", 0.01, "share of arrays that are equal on two topics, maximum",
-        shortcut=True,
-    ),
+    fp.Feature("identity", "1", 0.01, "share of arrays that are equal on two topics, maximum",
+        shortcut=True),
 )  # fmt: skip
 
 _ALL_COMPARED = 20  # most topics of a type of which all pairs are compared

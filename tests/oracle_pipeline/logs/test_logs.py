@@ -249,6 +249,54 @@ def test_unit_of_time_is_guessed_and_told(name, times, unit, tmp_path):
     assert f"{name} is taken as the time in {unit}." in " ".join(read_tables(file).notes)
 
 
+TABLE = pd.DataFrame({"time": np.arange(20) * 0.05, "roll [°]": np.arange(20) ** 2 / 8 - 0.5})
+DATED = TABLE.assign(time=pd.to_datetime(1.7e9 + TABLE["time"], unit="s"))
+CLOCK = DATED["time"].dt.strftime("%H:%M:%S.%f")
+WRITERS = {
+    "commas": TABLE.to_csv(index=False),
+    "an index": TABLE.to_csv(),
+    "tabs": TABLE.to_csv(index=False, sep="\t"),
+    "spaces": TABLE.rename(columns={"roll [°]": "roll_[°]"}).to_csv(index=False, sep=" "),
+    "a European spreadsheet": "sep=;\n" + TABLE.to_csv(index=False, sep=";", decimal=","),
+    "remarks": "# robot 7\n\n" + TABLE.to_csv(index=False),
+    "a header of NumPy": "# " + TABLE.to_csv(index=False),
+    "units": TABLE.to_csv(index=False).replace("\n", "\ns,deg\n", 1),
+    "a name like a time": TABLE.rename(columns={"time": "ros_time (s)"}).to_csv(index=False),
+    "dates": DATED.to_csv(index=False),
+    "times of day": TABLE.assign(time=CLOCK).to_csv(index=False),
+    "dates beside times of day": TABLE.assign(Date="2023-11-14", time=CLOCK).to_csv(index=False),
+    "other quotes and ends of lines": TABLE.to_csv(index=False, quoting=1, lineterminator="\r\n"),
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
+@pytest.mark.parametrize("text", WRITERS.values(), ids=WRITERS)
+def test_a_table_is_read_the_same_however_a_program_writes_it(text, encoding, tmp_path):
+    file = tmp_path / "t.csv"
+    file.write_bytes(text.encode(encoding))
+    (topic,) = read_tables(file).topics
+    assert [name.replace("_", " ") for name in topic.columns] == ["roll [°]"]
+    np.testing.assert_array_equal(*topic.columns.values(), TABLE["roll [°]"])
+    np.testing.assert_allclose(topic.times_ns - topic.times_ns[0], TABLE["time"] * 1e9, atol=2e3)
+
+
+def test_a_table_without_names_has_numbered_columns(tmp_path):
+    file = tmp_path / "t.csv"
+    file.write_text(TABLE.to_csv(index=False, header=False))
+    with pytest.raises(BagError, match="no column of time, but column_1, column_2"):
+        read_tables(file)
+    (tmp_path / LAYOUT_FILE).write_text("topics: [{file: t.csv, time: {column: column_1}}]")
+    (topic,) = read_tables(file).topics
+    np.testing.assert_array_equal(topic.columns["column_2"], TABLE["roll [°]"])
+
+
+def test_dates_of_antiquity_are_no_times(tmp_path):
+    file = tmp_path / "t.csv"
+    file.write_text("time,x\n0001-01-01 00:00:00,1\n0001-01-01 00:00:01,2\n")
+    with pytest.raises(BagError, match="time"):
+        read_tables(file)
+
+
 def test_label_is_never_a_signal(tmp_path):
     file = tmp_path / "t.csv"
     pd.DataFrame({"time": [0, 1], "x": [1, 2], "Label": [0, 1]}).to_csv(file, index=False)
