@@ -137,8 +137,8 @@ def features(
     """Compute the features of recordings, a row for each.
 
     RUN_OR_BAG is a run directory, the folder of a rosbag2 (SQLite or MCAP, split or compressed), a
-    single .mcap or .db3 file, a ROS 1 .bag file, or another log, such as CSV, Parquet or PX4 ULog
-    (see `oracle import --help`). No ROS is needed. A feature that cannot be
+    single .mcap or .db3 file, a ROS 1 .bag file, another log, such as CSV, Parquet or PX4 ULog (see
+    `oracle import --help`), or a folder of these. No ROS is needed. A feature that cannot be
     computed from this recording is null, and "missing" has the reason. An unfinished recording is
     read as far as possible; "notes" states how far, and which data were not used. Topics are found
     by message type, not by name. Several robots, each in a namespace, give one row each. A

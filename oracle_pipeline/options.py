@@ -30,17 +30,16 @@ class _Recording(click.Path):
         raise click.BadParameter(f"{value} {reason}", ctx, param)
 
 
-def _each_episode(_: Any, __: Any, paths: tuple[Path, ...]) -> tuple[Path, ...]:
-    """Return recordings: of a LeRobot data set its episodes."""
-    from oracle_pipeline.logs.files import episodes, is_dataset
+def _each_recording(_: Any, __: Any, paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """Return the recordings that paths are or hold; what holds none stays, to be refused."""
+    from oracle_pipeline.logs.formats import recordings_below
 
-    several = (episodes(path) if is_dataset(path) else [path] for path in paths)
-    return tuple(each for found in several for each in found)
+    return tuple(each for path in paths for each in list(recordings_below(path)) or [path])
 
 
 recordings_argument = click.argument(
     "recordings", metavar="RUN_OR_BAG...", nargs=-1, required=True,
-    type=_Recording(path_type=Path), callback=_each_episode,
+    type=_Recording(path_type=Path), callback=_each_recording,
 )  # fmt: skip
 
 plugins_option = click.option(

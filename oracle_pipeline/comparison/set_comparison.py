@@ -23,8 +23,9 @@ from oracle_pipeline.comparison.measurements import (
 )
 from oracle_pipeline.datasets import SIGNALS
 from oracle_pipeline.features import FeatureManager
+from oracle_pipeline.logs.formats import recordings_below
 from oracle_pipeline.scoring.learning import common_signals, settings_among
-from oracle_pipeline.scoring.reference import Reference, read_reference, recordings_below
+from oracle_pipeline.scoring.reference import Reference, read_reference
 
 ComparisonOutcome: TypeAlias = Literal["same", "different", "unsupported"]
 

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from oracle_pipeline.bags.parts import is_recording
+from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
 from oracle_pipeline.logs.files import LogFormat, episodes, is_dataset, kind_of, tables_in
 from oracle_pipeline.logs.log import Log, LogError
 from oracle_pipeline.logs.recording import write_bag
@@ -37,6 +39,19 @@ def logs_at(path: Path) -> Iterator[Path] | None:
 
         return iter([path] if is_folder_of_topics(path) else tables_in(path))
     return iter([path]) if kind_of(path) else None
+
+
+def recordings_below(folder: Path) -> Iterator[Path]:
+    """Find the run directories, bags and other logs below a folder, in order."""
+    is_run = any((folder / name).is_file() for name in (MANIFEST_FILE, RECORDING_FILE))
+    if is_run or is_recording(folder):
+        yield folder
+    elif (logs := logs_at(folder)) is not None:
+        yield from logs
+    elif folder.is_dir():
+        for entry in sorted(folder.iterdir()):
+            if not entry.name.startswith("."):
+                yield from recordings_below(entry)
 
 
 def read_log(path: Path) -> Log:

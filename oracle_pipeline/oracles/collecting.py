@@ -11,11 +11,11 @@ from oracle_pipeline.bags.remote import fetched
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RunDirectory
 from oracle_pipeline.bags.terminal import printable, progress_bar
 from oracle_pipeline.datasets import KEYS
+from oracle_pipeline.logs.formats import recordings_below
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.oracles.kind import RELATION, SAME, KindError, TracedRuns
 from oracle_pipeline.oracles.traces import read_trace
 from oracle_pipeline.robots.robot import find_robots, of_robot
-from oracle_pipeline.scoring.reference import recordings_below
 
 _NO_BLOCK = -1  # for a bag without a manifest, which becomes its own block and session
 

@@ -19,6 +19,7 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import MISSING
 from oracle_pipeline.detectors import SignalScaler, by_family, explain
 from oracle_pipeline.features import FeatureManager, FeatureTables
+from oracle_pipeline.logs.formats import recordings_below
 from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring import isolation
@@ -33,7 +34,6 @@ from oracle_pipeline.scoring.evidence import farthest_features, window_series
 from oracle_pipeline.scoring.lengths import comparable_tables, is_outside
 from oracle_pipeline.scoring.likeness import LEAST, likeness
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.scoring.reference import recordings_below
 from oracle_pipeline.scoring.verdict import (
     AspectScore,
     CardOrigin,

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.parts import NO_CHECKSUM, is_recording
-from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.datasets import KEYS, feature_dataset, read_table, window_dataset
 from oracle_pipeline.features import FeatureManager, FeatureTables
-from oracle_pipeline.logs.formats import logs_at
+from oracle_pipeline.logs.formats import recordings_below
 from oracle_pipeline.robots.robot import recording_of
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.blocks import Origin, blocks
@@ -158,16 +157,3 @@ def _about(origins: Sequence[Origin]) -> Iterator[str]:
             f"{len(origins)} reference recordings count as {count} blocks: the others share the "
             "start, on one day, or the world of one of these."
         )
-
-
-def recordings_below(folder: Path) -> Iterator[Path]:
-    """Find the run directories, bags and other logs below a folder, in order."""
-    is_run = any((folder / name).is_file() for name in (MANIFEST_FILE, RECORDING_FILE))
-    if is_run or is_recording(folder):
-        yield folder
-    elif (logs := logs_at(folder)) is not None:
-        yield from logs
-    elif folder.is_dir():
-        for entry in sorted(folder.iterdir()):
-            if not entry.name.startswith("."):
-                yield from recordings_below(entry)

@@ -124,9 +124,10 @@ def test_plugins_of_a_folder_are_used(make_run, tmp_path):
 def test_every_failure_is_one_line_and_exit_code_2(tmp_path, make_run):
     corrupt = make_run()
     (corrupt.bag / "bag_0.mcap").write_bytes(b"\x89MCAP0\r\n")
+    (tmp_path / "empty").mkdir()
     for arguments, text in (
         ((tmp_path / "absent",), "There is no bag"),
-        ((tmp_path,), "is not a bag"),
+        ((tmp_path / "empty",), "is not a bag"),
         ((corrupt.path,), "is damaged: bag/bag_0.mcap"),
         ((corrupt.bag,), "no message could be read"),
         ((tmp_path, "--plugins", tmp_path / "none"), "no plugin folder"),

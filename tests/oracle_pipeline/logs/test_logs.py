@@ -14,12 +14,11 @@ from hypothesis import strategies as st
 from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.cli import main
-from oracle_pipeline.logs.formats import logs_at, open_as_bag, read_log
+from oracle_pipeline.logs.formats import logs_at, open_as_bag, read_log, recordings_below
 from oracle_pipeline.logs.layout import LAYOUT_FILE, Layout
 from oracle_pipeline.logs.log import LogError
 from oracle_pipeline.logs.tables import guess_layout, read_tables
 from oracle_pipeline.opened_run import open_run
-from oracle_pipeline.scoring.reference import recordings_below
 from tests.oracle_pipeline.logs import samples
 
 KINDS = list(samples.SAMPLES)
@@ -155,6 +154,17 @@ def test_commands_read_logs(tmp_path):
     assert result.exit_code == 0, result.output
     row = json.loads(result.stdout)["rows"][0]
     assert row["contextual.speed"] == pytest.approx(0.2, rel=0.05)
+
+
+def test_commands_read_every_recording_of_a_folder(tmp_path):
+    flights = tmp_path / "flights"
+    flights.mkdir()
+    for number in range(2):
+        samples.csv(flights).rename(flights / f"flight{number}.csv")
+    features = CliRunner().invoke(main, ["features", str(flights), "--format", "json"])
+    assert len(json.loads(features.stdout)["rows"]) == 2
+    check = CliRunner().invoke(main, ["check", str(flights), "--format", "json"])
+    assert len(json.loads(check.stdout)["recordings"]) == 2
 
 
 def test_import_writes_a_bag_that_is_read_as_the_log(tmp_path):
