@@ -42,6 +42,11 @@ def printable(text: str) -> str:
     return text if text.isprintable() else text.translate(_PRINTABLE)
 
 
+def count_of(number: int, noun: str) -> str:
+    """Return a number of things in words: ``1 run``, ``2 runs``."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def aligned_lines(rows: Sequence[Sequence[str]], *, indent: str = "") -> Iterator[str]:
     """Yield the rows of a table as lines whose columns begin below each other."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import pandas as pd
 
+from oracle_pipeline.bags.terminal import count_of
 from oracle_pipeline.checks.topic import Fault
 from oracle_pipeline.datasets import replacing
 from oracle_pipeline.reporting.tables import PageTable, plain_table
@@ -83,8 +84,7 @@ def write_page(path: Path, results: Sequence[Checked]) -> None:
 def _summary(checked: Checked) -> str:
     if checked.error:
         return f"could not be checked: {checked.error}"
-    found = len(checked.faults)
-    return f"{found} fault{'s' if found > 1 else ''}" if found else CLEAN
+    return count_of(len(checked.faults), "fault") if checked.faults else CLEAN
 
 
 def _test_case(checked: Checked) -> TestCase:

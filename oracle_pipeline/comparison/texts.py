@@ -5,7 +5,7 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 
-from oracle_pipeline.bags.terminal import aligned_lines, printable
+from oracle_pipeline.bags.terminal import aligned_lines, count_of, printable
 from oracle_pipeline.comparison.set_comparison import (
     ComparisonOutcome,
     Difference,
@@ -80,7 +80,7 @@ def _title(comparison: SetComparison) -> str:
         return _in_words(comparison)
     first, more = comparison.differences[0], len(comparison.differences) - 1
     unit = "" if first.unit == "1" else f" {first.unit}"
-    others = f", and {more} more feature{'s' if more > 1 else ''} changed" if more else ""
+    others = f", and {count_of(more, 'more feature')} changed" if more else ""
     return (
         f"The behaviour changed: {_code(first.feature)} went from {first.first:.3g} to "
         f"{first.second:.3g}{unit} (p = {first.p_value:.2g}){others}"

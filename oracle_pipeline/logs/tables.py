@@ -80,8 +80,9 @@ def read_tables(path: Path, layout: Layout | None = None) -> Log:
     layout = layout or find_layout(path)
     log = Log([])
     for file in tables_in(path) if path.is_dir() else [path]:
-        named = path.is_dir()
-        log.topics.append(_topic(file, layout.of_file(file.name), named=named, notes=log.notes))
+        topic, notes = _topic(file, layout.of_file(file.name), named=path.is_dir())
+        log.topics.append(topic)
+        log.notes += [f"{file.name}: {note}" for note in notes] if path.is_dir() else notes
     names = [topic.name for topic in log.topics]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise LogError(f"{path} has several files for {twice[0]}; name one topic for each file.")
@@ -102,26 +103,28 @@ def guess_layout(path: Path) -> Layout:
     return Layout("folder" if path.is_dir() else "file", tuple(topics))
 
 
-def _topic(file: Path, about: TopicLayout, *, named: bool, notes: list[str]) -> LogTopic:
+def _topic(file: Path, about: TopicLayout, *, named: bool) -> tuple[LogTopic, list[str]]:
+    notes: list[str] = []
     frame = _read(file)
     about = _with_time(file, frame, about, notes)
     times_ns = _times_ns(file, frame, about)
     columns, texts = _columns(file, frame, about, notes)
     msgtype = about.msgtype or ("" if about.columns else guessed_type(columns))
     if msgtype and not about.msgtype:
-        notes.append(f"{file.name} is read as {msgtype}, whose fields its columns are.")
+        notes.append(f"It is read as {msgtype}, whose fields its columns are.")
     if msgtype:
         columns = _of_type(columns)
     if not columns:
         raise LogError(f"{file} has no column of numbers beside the time.")
     kept = ~pd.isna(times_ns)
     if dropped := int((~kept).sum()):
-        notes.append(f"{file.name}: {dropped} rows without a time are not used.")
+        notes.append(f"{dropped} rows without a time are not used.")
     kept_columns = {name: values[kept] for name, values in columns.items()}
     units = {} if msgtype else about.units
     stamps = times_ns[kept].astype(np.int64)
     name = about.topic or (_name(file) if named else "/log")
-    return LogTopic(name, stamps, kept_columns, msgtype, texts if msgtype else {}, units)
+    texts = texts if msgtype else {}
+    return LogTopic(name, stamps, kept_columns, msgtype, texts, units), notes
 
 
 def _of_type(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -214,7 +217,7 @@ def _with_time(
     numbers = _numbers(frame[column])
     if not unit and numbers is not None:
         unit = _guessed_unit(column, numbers.ravel().astype(np.float64))
-        notes.append(f"{file.name}: {column} is taken as the time in {unit}.")
+        notes.append(f"{column} is taken as the time in {unit}.")
     return replace(about, time_column=column, time_unit=unit)
 
 
@@ -281,7 +284,7 @@ def _columns(
         if name in about.ignore:
             continue
         if field.lower() in _LABELS:
-            notes.append(f"{file.name}: {name} looks like a label and is not used.")
+            notes.append(f"{name} looks like a label and is not used.")
             continue
         values = _numbers(frame[name])
         if values is not None and _COUNTERS.fullmatch(name) and (np.diff(values) == 1).all():
@@ -294,7 +297,7 @@ def _columns(
         else:
             unused.append(name)
     if unused:
-        notes.append(f"{file.name}: not used, as text or numbers of rows: {', '.join(unused[:8])}.")
+        notes.append(f"Not used, as text or numbers of rows: {', '.join(unused[:8])}.")
     return grouped(columns), texts
 
 

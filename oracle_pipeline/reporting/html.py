@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pandas as pd
 
+from oracle_pipeline.bags.terminal import count_of
 from oracle_pipeline.datasets import content_hash, is_malicious, replacing
 from oracle_pipeline.evaluation.comparisons import ALL_MODES, HARD_NEGATIVES, HEADLINE
 from oracle_pipeline.evaluation.estimate import Estimate
@@ -105,16 +106,14 @@ def _recorded(runs: pd.DataFrame, left_out: int) -> str:
     """Return sentences on the number of runs, modes and hours."""
     attacked = int(is_malicious(runs).sum())
     hours = runs["recording_s"].sum() / 3600.0
-    of = [_count(runs[noun].nunique(), noun) for noun in ("mode", "block", "session", "world")]
-    rest = f" {_count(left_out, 'more run')} ended before the onset: left out." if left_out else ""
+    of = [count_of(runs[noun].nunique(), noun) for noun in ("mode", "block", "session", "world")]
+    rest = (
+        f" {count_of(left_out, 'more run')} ended before the onset: left out." if left_out else ""
+    )
     return (
-        f"{_count(len(runs), 'run')}: {attacked} attacked, {len(runs) - attacked} normal. "
+        f"{count_of(len(runs), 'run')}: {attacked} attacked, {len(runs) - attacked} normal. "
         f"{', '.join(of)}, {hours:.1f} hours.{rest}"
     )
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def write_page(page: str, path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from oracle_pipeline.bags.terminal import aligned_lines
+from oracle_pipeline.bags.terminal import aligned_lines, count_of
 from oracle_pipeline.detectors import FamilyDeviation, explain
 from oracle_pipeline.scoring.alarms import RATE_PER_H
 from oracle_pipeline.scoring.card import ReferenceCard
@@ -130,7 +130,9 @@ def as_text(
         lines.append(BREACH)
     lines += [*shared, *notes[:_MOST_NOTES]]
     if (more := len(notes) - _MOST_NOTES) > 0:
-        lines.append(f"and {_count(more, 'more note')} on the reference; --format json lists all.")
+        lines.append(
+            f"and {count_of(more, 'more note')} on the reference; --format json lists all."
+        )
     return "\n".join([*lines, *cards(verdicts), ""])
 
 
@@ -154,8 +156,8 @@ def card_as_text(card: ReferenceCard) -> str:
     runs, design = card.runs, card.scorer.design
     blocks, sessions = runs["block"].nunique(), runs["session"].nunique()
     lines = [
-        f"Learned from {_count(len(runs), 'normal recording')}: {_count(blocks, 'block')}, "
-        f"{_count(sessions, 'session')}.",
+        f"Learned from {count_of(len(runs), 'normal recording')}: {count_of(blocks, 'block')}, "
+        f"{count_of(sessions, 'session')}.",
         *([f"Detector: {design.named}, on plain statistics of signals."] if design.named else []),
         f"Features: {len(design.run_features) if design.uses_features else 0} of whole recordings, "
         f"{len(design.window_features)} of windows, {len(design.run_signals)} of signals.",
@@ -197,10 +199,6 @@ def lowest_far(card: ReferenceCard) -> float:
     return math.ceil(1000.0 / (card.runs["block"].nunique() + 1)) / 1000.0
 
 
-def _count(number: int, name: str) -> str:
-    return f"{number} {name}{'' if number == 1 else 's'}"
-
-
 def _roles_as_text(card: ReferenceCard) -> list[str]:
     if card.roles is None:
         return []
@@ -212,7 +210,7 @@ def _roles_as_text(card: ReferenceCard) -> list[str]:
 def _support(blocks: int) -> str:
     """Describe which false positive rates the blocks support, and how many more others need."""
     lacking = [
-        f"{rate:.0%} needs {_count(runs_needed(rate) - blocks, 'more block')}"
+        f"{rate:.0%} needs {count_of(runs_needed(rate) - blocks, 'more block')}"
         for rate in RATES
         if blocks < runs_needed(rate)
     ]
@@ -249,10 +247,10 @@ def _contract_as_text(card: ReferenceCard) -> str:
         return "No contract of topics and rates: the card was learned from tables."
     terms = card.contract.topics.values()
     steady = sum(of_topic.lowest_hz is not None for of_topic in terms)
-    told = f"Contract: {len(terms)} topics, {steady} of them with a steady rate."
+    told = f"Contract: {count_of(len(terms), 'topic')}, {steady} of them with a steady rate."
     if card.breaching is None:
         return told
-    recordings = _count(len(card.runs), "recording")
+    recordings = count_of(len(card.runs), "recording")
     told = f"{told} {card.breaching} of {recordings} break the contract of the others."
     if not card.contract.unsteady:
         return told
@@ -267,7 +265,7 @@ def _outliers_as_text(card: ReferenceCard) -> list[str]:
     if not found:
         return []
     return [
-        f"Unlike the others: {_count(len(found), 'recording')}. Each raises the score that an "
+        f"Unlike the others: {count_of(len(found), 'recording')}. Each raises the score that an "
         "attack must exceed. Remove failed recordings, and learn again.",
         *(_outlier_as_text(card, row) for row in found[:_MOST_OUTLIERS]),
     ]
@@ -323,7 +321,7 @@ def breaches(verdict: Verdict, rest: str) -> Iterator[str]:
     """Yield the first breaches of the contract; `rest` says where the others are."""
     yield from verdict.contract[:MOST_BREACHES]
     if (more := len(verdict.contract) - MOST_BREACHES) > 0:
-        yield f"and {_count(more, 'more difference')} from the contract; {rest}."
+        yield f"and {count_of(more, 'more difference')} from the contract; {rest}."
 
 
 def beside(verdict: Verdict) -> Iterator[str]:

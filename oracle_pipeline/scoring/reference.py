@@ -1,6 +1,6 @@
 """Reads the runs that recordings are compared with, from a table, a root or a folder of bags."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -110,7 +110,7 @@ def _extracted(
     below = {path: list(recordings_below(path)) for path in paths}
     notes += [f"{path} holds no recording; it is left out." for path in below if not below[path]]
     recordings = list(dict.fromkeys(each for found in below.values() for each in found))
-    reading = Reading(choices=choices, paced=True)
+    reading, said = Reading(choices=choices, paced=True), dict[str, list[Path]]()
     for path, robots in extract_each(recordings, manager, reading=reading, desc="reference"):
         if isinstance(robots, Exception):
             notes.append(f"{path} is left out of the reference: {robots}")
@@ -124,7 +124,8 @@ def _extracted(
             continue
         origins.append(robots[0].origin)
         for recording, both, observation, origin, _ in robots:
-            notes += [f"{path}: {note}" for note in both.notes if note != NO_CHECKSUM]
+            for note in both.notes:
+                said.setdefault(note, []).append(path)
             if not origin.has_manifest:
                 own = {"run_id": printable(recording), "label": "normal"}
                 both = FeatureTables(*(table.assign(**own) for table in both))
@@ -136,7 +137,7 @@ def _extracted(
             f"{join_first([str(path) for path in paths])} has no recording to compare with; check "
             f"the path. {' '.join(notes)}".rstrip()
         )
-    notes = [*_about(origins), *notes]
+    notes = [*_about(origins), *notes, *_together(said)]
     block = np.array(blocks(origins))  # the robots of one recording are one block
     tables, windows = (
         [table.assign(block=block[table["block"]]) for table in each] for each in (tables, windows)
@@ -146,6 +147,14 @@ def _extracted(
     order = np.argsort([row[each["run_id"].iloc[0]] for each in tables])
     in_order = tuple(observations[number] for number in order)
     return Reference(table, window_dataset(windows), in_order, tuple(notes), choices)
+
+
+def _together(said: Mapping[str, Sequence[Path]]) -> Iterator[str]:
+    """Yield each note once, with the recordings that it is on."""
+    for note, paths in said.items():
+        more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
+        if note != NO_CHECKSUM:
+            yield f"{paths[0]}{more}: {note}"
 
 
 def _about(origins: Sequence[Origin]) -> Iterator[str]:
