@@ -11,24 +11,20 @@ the modules of the first job, which takes more than a second; a fork takes milli
 import concurrent.futures
 import multiprocessing
 import os
-import pickle
 import threading
-import traceback
 from collections.abc import Callable, Mapping
-from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from functools import partial
-from multiprocessing.connection import Connection
 from typing import Any, Self, TypeVar
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.bags.processes import FINDS_OURS, no_program
+from oracle_pipeline.bags.processes import FINDS_OURS
+from oracle_pipeline.bags.worker import Worker
 
 R = TypeVar("R")
 
 LIMIT = "ORACLE_JOB_TIMEOUT"  # environment variable [s]
 DEFAULT_LIMIT_S = 3600.0  # a run of ten simulated minutes takes less than one
-
-_END_TIMEOUT_S = 10.0  # of an idle worker
 
 
 class JobTimeoutError(OracleError):
@@ -41,10 +37,6 @@ class JobTimeoutError(OracleError):
             f"It exceeded the limit of {limit_s:g} s, so its worker was ended. If it needs longer, "
             f"increase {LIMIT}."
         )
-
-
-class WorkerDied(BrokenExecutor):
-    """A worker ended before its job did."""
 
 
 def limit_from_environment() -> float:
@@ -80,8 +72,7 @@ class WorkerPool(ThreadPoolExecutor):
         super().__init__(workers)
         self._limit_s = limit_s
         self._of_thread = threading.local()
-        self._starting = threading.Lock()
-        self._workers: list[_Worker] = []
+        self._workers: list[Worker] = []
 
     def submit(self, fn: Callable[..., R], /, *args: Any, **kwargs: Any) -> Future[R]:
         """Give a job to the next free worker; function, arguments and result must be picklable."""
@@ -94,12 +85,15 @@ class WorkerPool(ThreadPoolExecutor):
             worker.dismiss()
 
     def _do(self, fn: Callable[..., R], args: Any, kwargs: Any) -> R:
-        worker: _Worker | None = getattr(self._of_thread, "worker", None)
+        worker: Worker | None = getattr(self._of_thread, "worker", None)
         if worker is None or not worker.is_alive:
-            with self._starting:
-                worker = self._of_thread.worker = _Worker(_module_of(fn))
-                self._workers.append(worker)
-        result: R = worker.do((fn, args, kwargs), self._limit_s)
+            worker = self._of_thread.worker = _worker(_module_of(fn))
+            self._workers.append(worker)
+        worker.begin(fn, *args, **kwargs)
+        if not worker.pipe.poll(self._limit_s):
+            worker.end()
+            raise JobTimeoutError.after(self._limit_s)
+        result: R = worker.answer()
         return result
 
 
@@ -130,54 +124,11 @@ class LentPool(Executor):
             concurrent.futures.wait(self._futures)
 
 
-class _Worker:
-    """One process, and the pipe to it.
-
-    Parameters
-    ----------
-    module
-        Module that the fork server imports if it is not running yet.
-    """
-
-    def __init__(self, module: str) -> None:
-        context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload([FINDS_OURS, module])
-        self._pipe, theirs = context.Pipe()
-        arguments = (theirs, dict(os.environ))  # the fork server has those of its own start
-        self._process = context.Process(target=_work, args=arguments, daemon=True)
-        with no_program():
-            self._process.start()
-        theirs.close()
-
-    @property
-    def is_alive(self) -> bool:
-        """Whether it can take a job."""
-        return self._process.is_alive()
-
-    def do(self, job: Any, limit_s: float) -> Any:
-        """Return a job's result, or raise what it raised."""
-        try:
-            self._pipe.send(job)
-            if not self._pipe.poll(limit_s):
-                self._end()
-                raise JobTimeoutError.after(limit_s)
-            is_done, result = self._pipe.recv()
-        except (EOFError, ConnectionError) as error:
-            self._end()
-            raise WorkerDied("its worker process died") from error
-        if is_done:
-            return result
-        raise result
-
-    def dismiss(self) -> None:
-        """End it when it is idle."""
-        self._pipe.close()
-        self._process.join(_END_TIMEOUT_S)
-        self._end()
-
-    def _end(self) -> None:
-        self._process.kill()
-        self._process.join()
+def _worker(module: str) -> Worker:
+    """Start a worker; the fork server imports a module if it is not running yet."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([FINDS_OURS, module])
+    return Worker(context, _prepare, dict(os.environ))
 
 
 def _module_of(function: Callable[..., Any]) -> str:
@@ -187,44 +138,11 @@ def _module_of(function: Callable[..., Any]) -> str:
     return function.__module__
 
 
-def _work(pipe: Connection, environment: Mapping[str, str]) -> None:
-    """Do jobs until the pipe is closed."""
+def _prepare(environment: Mapping[str, str]) -> None:
+    """Take over the caller's environment: the fork server has that of its own start."""
     os.environ.clear()
     os.environ.update(environment)
     _end_with_caller()
-    while True:
-        try:
-            function, args, kwargs = pipe.recv()
-        except (EOFError, OSError, KeyboardInterrupt):
-            return
-        except BaseException as error:  # an error while unpickling is a failure of the job
-            answer = False, _portable(error)
-        else:
-            answer = _answer(function, args, kwargs)
-        try:
-            pipe.send(answer)
-        except OSError:
-            return
-        except Exception as error:  # a result that cannot be pickled
-            pipe.send((False, _portable(error)))
-
-
-def _answer(function: Callable[..., Any], args: Any, kwargs: Any) -> tuple[bool, Any]:
-    try:
-        return True, function(*args, **kwargs)
-    except BaseException as error:
-        return False, _portable(error)
-
-
-def _portable(error: BaseException) -> BaseException:
-    """Return a picklable error, with its traceback in a note."""
-    text = "".join(traceback.format_exception(error))
-    error.add_note(f"In the worker:\n{text}")
-    try:
-        pickle.loads(pickle.dumps(error))  # noqa: S301 -- pickled in this line
-    except Exception:
-        return RuntimeError(text)
-    return error
 
 
 def _end_with_caller() -> None:

@@ -11,10 +11,8 @@ import os
 import resource
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import islice
@@ -25,8 +23,9 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.bags.merging import Messages
-from oracle_pipeline.bags.processes import FINDS_OURS, no_program
+from oracle_pipeline.bags.processes import FINDS_OURS
 from oracle_pipeline.bags.terminal import progress_bar
+from oracle_pipeline.bags.worker import Worker, WorkerDied
 from oracle_pipeline.features import FeatureManager, FeatureTables, build_manager, extract
 from oracle_pipeline.features.engine.kept_messages import KeptMessages
 from oracle_pipeline.features.engine.timeline import Timeline
@@ -48,7 +47,6 @@ Check: TypeAlias = Callable[[KeptMessages, SignalCollector], Sequence[str]]
 MOST_AT_ONCE = 8  # processes, each of which may take gibibytes
 _GIB = 2**30
 _WARM = "oracle_pipeline.features.warm_start"
-_STARTING = threading.Lock()  # while a process is started, this one has no program
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,104 +206,82 @@ def isolated_each(
 ) -> Iterator[T | OracleError]:
     """Yield what `run_isolated` returns or raises for each job in turn, a few at once."""
     at_once = min(os.cpu_count() or 1, MOST_AT_ONCE)
-    waiting, running, done = enumerate(jobs), dict[int, _Process](), dict[int, T | OracleError]()
-    idle: list[_Process] = []
+    waiting, running, done = enumerate(jobs), dict[int, _Reader](), dict[int, T | OracleError]()
+    idle: list[_Reader] = []
     try:
         for number in range(len(jobs)):
             while number not in done:  # results of others may wait in memory
                 begun = max(0, min(at_once - len(running), 2 * at_once - len(done)))
                 for n, (work, path) in islice(waiting, begun):
                     try:
-                        if not (idle and idle[-1].is_alive):
-                            idle.append(_Process(work, limits, warm=len(jobs) > 1))
-                        process = idle.pop()
-                        process.begin(work, path)
-                        running[n] = process
-                    except OSError as error:  # no memory for a further process, perhaps
+                        if not (idle and idle[-1].worker.is_alive):
+                            idle.append(_Reader(work, limits, warm=len(jobs) > 1))
+                        reader = idle.pop()
+                        reader.begin(work, path)
+                        running[n] = reader
+                    except (OSError, WorkerDied) as error:  # no memory for another, perhaps
                         done[n] = BagError(f"{path} got no process to be read in: {error}.")
                 for n in _ended(running):
-                    process = running.pop(n)
-                    answer = done[n] = process.answer()
+                    reader = running.pop(n)
+                    answer = done[n] = reader.answer()
                     if isinstance(answer, OracleError):
-                        process.end()
+                        reader.worker.end()
                     else:
-                        idle.append(process)
+                        idle.append(reader)
             yield done.pop(number)
     finally:
-        for process in (*running.values(), *idle):
-            process.end()
+        for reader in (*running.values(), *idle):
+            reader.worker.end()
 
 
-class _Process:
-    """A process that works on one recording at a time, and the pipe to it."""
+class _Reader:
+    """A worker that reads one recording at a time, within limits."""
 
     def __init__(self, first: Callable[[Path], object], limits: Limits, *, warm: bool) -> None:
         context = _context(getattr(first, "func", first).__module__, warm=warm)
-        self.pipe, theirs = context.Pipe()
-        self._limits = limits
-        self._process = context.Process(target=_work, args=(theirs, limits), daemon=True)
-        with _STARTING, no_program():
-            self._process.start()
-        theirs.close()  # so that the pipe closes when the process ends
-
-    @property
-    def is_alive(self) -> bool:
-        """Whether it can take a recording."""
-        return self._process.is_alive()
+        self.worker, self._limits = Worker(context, _prepare), limits
 
     def begin(self, work: Callable[[Path], object], path: Path) -> None:
         """Give it a recording."""
         self.deadline_s = time.monotonic() + self._limits.seconds
         self._path = path
-        self.pipe.send((work, path))
+        self.worker.begin(_within, work, path, self._limits)
 
     def answer(self) -> Any:
         """Return its answer, or an error if there is none by now."""
-        try:
-            if self.pipe.poll():
-                return self.pipe.recv()
+        if not self.worker.pipe.poll():
             return BagError(
                 f"{self._path} took longer than the limit of {self._limits.seconds:g} s; "
                 f"{self._limits.advice('--time-limit')}."
             )
-        except (EOFError, ConnectionError):
-            self._process.join()
+        try:
+            return self.worker.answer()
+        except WorkerDied as death:
             return BagError(
-                f"The process that read {self._path} died "
-                f"({_exit_reason(self._process.exitcode)}); perhaps it ran out of memory. "
-                "Please report the file."
+                f"The process that read {self._path} died ({_exit_reason(death.exit_code)}); "
+                "perhaps it ran out of memory. Please report the file."
             )
 
-    def end(self) -> None:
-        """End it at once."""
-        self._process.kill()
-        self._process.join()
-        self.pipe.close()
 
-
-def _ended(running: Mapping[int, _Process]) -> list[int]:
+def _ended(running: Mapping[int, _Reader]) -> list[int]:
     """Wait for a process that answers, dies or exceeds its time; return the numbers of these."""
     first_s = min((each.deadline_s for each in running.values()), default=0.0)
     wait_s = max(0.0, first_s - time.monotonic())
-    ready = connection.wait([each.pipe for each in running.values()], wait_s)
-    now_s = time.monotonic()
-    return [n for n, each in running.items() if each.pipe in ready or now_s >= each.deadline_s]
+    pipes = {n: each.worker.pipe for n, each in running.items()}
+    ready, now_s = connection.wait(pipes.values(), wait_s), time.monotonic()
+    return [n for n, pipe in pipes.items() if pipe in ready or now_s >= running[n].deadline_s]
 
 
-def _work(pipe: connection.Connection, limits: Limits) -> None:
-    """Work in the other process on one recording after another, and send the results."""
+def _prepare() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends it without a traceback
     os.environ.pop(FOLDER_VARIABLE, None)  # the server may have an outdated value
+
+
+def _within(work: Callable[[Path], object], path: Path, limits: Limits) -> object:
+    """Return what a function returns for a recording, or an error, in the other process."""
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    with suppress(EOFError):  # when the one that began it ends
-        while True:
-            work, path = pipe.recv()
-            size = _memory() + int(limits.gibibytes * _GIB)
-            resource.setrlimit(resource.RLIMIT_DATA, (size, hard))
-            pipe.send(_answer(work, path, limits))
-
-
-def _answer(work: Callable[[Path], object], path: Path, limits: Limits) -> object:
+    size = _memory() + int(limits.gibibytes * _GIB)
+    resource.setrlimit(resource.RLIMIT_DATA, (size, hard))
     try:
         return work(path)
     except MemoryError:

@@ -57,7 +57,7 @@ REFUSED = {
     "other.db3": (other_database, "no rosbag2"),
     "old.bag": (lambda path: path.write_bytes(b"#ROSBAG V1.2\n" + bytes(99)), "is not a bag"),
 }
-# Of these no command but `learn` and `compare` is sure what is meant.
+# These hold no recording of their own.
 NAMED_ONLY = {
     "absent.mcap": (lambda _: None, "There is no bag"),
     "folder": (lambda path: path.mkdir(), "is not a bag"),
@@ -89,15 +89,22 @@ def done_by(command, *arguments, expect):
 def test_a_refused_recording_is_an_error_of_one_line(name, place, tmp_path):
     reason = (REFUSED | NAMED_ONLY)[name][1]
     mutate = (sim_main, "mutate", place / name, tmp_path / "out", "random_noise")
-    for program, expect in (
+    programs = [
         ((main, "features", place / name), 2),
         ((main, "replay", place / name, "-o", tmp_path / "out.png"), 2),
         ((*mutate, "-p", "level=0.02", "--topic", "/scan"), 1),
-    ):
+    ]
+    for program, expect in programs[1:] if name == "two" else programs:
         (line,) = done_by(*program, expect=expect).stderr.splitlines()
         assert str(place / name) in line
         assert reason in line
     assert not list(tmp_path.iterdir())
+
+
+def test_features_of_a_folder_are_those_of_each_recording_in_it(place):
+    done = done_by(main, "features", place / "two", "--format", "json", expect=0)
+    names = [row["run_id"] for row in json.loads(done.stdout)["rows"]]
+    assert names == [str(place / "two" / name) for name in ("first.mcap", "second.mcap")]
 
 
 def test_refused_recordings_are_named_and_the_others_are_used(place, tmp_path):
