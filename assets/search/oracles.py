@@ -148,7 +148,7 @@ class KindOracle:
             There is no such kind, or there are too few normal recordings.
         """
         ready = _ready(self)
-        score = float(ready.fitted.score(traced_run(run))[0])
+        score = float(ready.fitted.score(traced_run(run, ready.numbers))[0])
         p_value = (1 + np.count_nonzero(ready.usual >= score)) / (1 + len(ready.usual))
         beyond = score - ready.limit
         return Judgement(beyond, p_value, frozenset({FEATURES} if beyond > 0.0 else ()))
@@ -157,6 +157,7 @@ class KindOracle:
 class _Ready(NamedTuple):
     """A fitted kind, its scores of normal runs that it did not learn from, and its limit."""
 
+    numbers: Mapping[str, str]  # further signals of its requirements
     fitted: FittedOracle
     usual: NDArray[np.float64]
     limit: float
@@ -165,11 +166,15 @@ class _Ready(NamedTuple):
 @functools.cache
 def _ready(oracle: KindOracle) -> _Ready:
     """Fit a kind; the runs without an attack are those of the same task."""
-    controls = traced_runs([oracle.controls])
-    normal = traced_runs([], [oracle.normal]) if oracle.normal else controls.where(_none(controls))
+    requirements = load(oracle.requirements or NAV2)
+    numbers = requirements.signals
+    controls = traced_runs([oracle.controls], [], numbers)
+    normal = controls.where(_none(controls))
+    if oracle.normal:
+        normal = traced_runs([], [oracle.normal], numbers)
     normal = _apart(normal.where(normal.normal))
     both = TracedRuns(pd.concat([normal.table, controls.table]), normal.traces + controls.traces)
-    material = Material(both, load(oracle.requirements or NAV2))
+    material = Material(both, requirements)
     kinds = {kind.name: kind for kind in build_kinds(material)}
     if oracle.name not in kinds:
         raise SearchError(
@@ -185,7 +190,7 @@ def _ready(oracle: KindOracle) -> _Ready:
         raise SearchError(f"{error} Name the folder of normal recordings with --normal.") from error
     usual = normal if id(fitted) == id(kind) else normal.where(~seen)
     if oracle.normal is None:
-        return _Ready(fitted, np.zeros(0), 0.0)
+        return _Ready(numbers, fitted, np.zeros(0), 0.0)
     needed = runs_needed(oracle.far)
     if len(usual.traces) < needed:
         raise SearchError(
@@ -194,7 +199,7 @@ def _ready(oracle: KindOracle) -> _Ready:
         )
     scores = np.sort(fitted.score(usual))
     beyond = int(oracle.far * (1 + len(scores)) + 1e-9)  # p <= far: fewer score as high
-    return _Ready(fitted, scores, float(scores[-beyond]))
+    return _Ready(numbers, fitted, scores, float(scores[-beyond]))
 
 
 def _none(runs: TracedRuns) -> NDArray[np.bool_]:

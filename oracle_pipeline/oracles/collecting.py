@@ -1,6 +1,6 @@
 """Collects the recordings below some folders: labels from manifests, signals from bags."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -14,13 +14,15 @@ from oracle_pipeline.datasets import KEYS
 from oracle_pipeline.logs.formats import recordings_below
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.oracles.kind import RELATION, SAME, KindError, TracedRuns
-from oracle_pipeline.oracles.traces import read_trace
+from oracle_pipeline.oracles.traces import NO_NUMBERS, read_trace
 from oracle_pipeline.robots.robot import find_robots, of_robot
 
 _NO_BLOCK = -1  # for a bag without a manifest, which becomes its own block and session
 
 
-def traced_runs(recordings: Sequence[Path], normal: Sequence[Path] = ()) -> TracedRuns:
+def traced_runs(
+    recordings: Sequence[Path], normal: Sequence[Path] = (), numbers: Mapping[str, str] = NO_NUMBERS
+) -> TracedRuns:
     """Read the traces of all recordings below some folders.
 
     Parameters
@@ -29,6 +31,8 @@ def traced_runs(recordings: Sequence[Path], normal: Sequence[Path] = ()) -> Trac
         Run directories, bags, and folders of these. A bag without a manifest has no label.
     normal : sequence of Path
         The same; a bag without a manifest counts as normal, and as its own block.
+    numbers : mapping of str to str
+        Further signals, as of `read_trace`.
 
     An attacked run that ended before its attack is left out.
 
@@ -40,7 +44,7 @@ def traced_runs(recordings: Sequence[Path], normal: Sequence[Path] = ()) -> Trac
     Raises
     ------
     OracleError
-        There is no recording, or some cannot be read; it names all of them.
+        There is no recording, some cannot be read, which it names, or none has a further signal.
     """
     found = {path: "normal" for top in normal for path in recordings_below(top)}
     found |= {path: "unknown" for top in recordings for path in recordings_below(top)}
@@ -51,7 +55,7 @@ def traced_runs(recordings: Sequence[Path], normal: Sequence[Path] = ()) -> Trac
     errors: list[str] = []
     for path, label in progress_bar(found.items(), unit="recording", desc="signals"):
         try:
-            for row, trace in _traced(path, label):
+            for row, trace in _traced(path, label, numbers):
                 own_block = {"block": -2 - len(rows)} if row["block"] == _NO_BLOCK else {}
                 rows.append(row | own_block)
                 traces.append(trace)
@@ -59,6 +63,12 @@ def traced_runs(recordings: Sequence[Path], normal: Sequence[Path] = ()) -> Trac
             errors.append(str(error))
     if errors:
         raise KindError("\n".join(errors))
+    for name, number in numbers.items():
+        if all(trace[name].isna().all() for trace in traces):
+            raise KindError(
+                f"No recording has {number}, which the requirements call {name}. `oracle features "
+                "RECORDING` lists numbers, such as signals./battery_state/voltage.mean."
+            )
     table = pd.DataFrame(rows, columns=[*KEYS, RELATION])
     alone = table["session"] < 0
     return TracedRuns(
@@ -66,30 +76,34 @@ def traced_runs(recordings: Sequence[Path], normal: Sequence[Path] = ()) -> Trac
     )
 
 
-def _traced(path: Path, label: str) -> Iterator[tuple[dict[str, object], pd.DataFrame]]:
+def _traced(
+    path: Path, label: str, numbers: Mapping[str, str]
+) -> Iterator[tuple[dict[str, object], pd.DataFrame]]:
     if (path / MANIFEST_FILE).is_file():
         run = RunDirectory.at(path)
         manifest = run.manifest()
         if manifest.label == "malicious" and manifest.onset_s is None:
             return
-        yield _of_run(run, manifest)
+        yield _of_run(run, manifest, numbers)
         return
     with open_run(path) as opened:
         for robot in find_robots(opened.bag):
             name = of_robot(printable(path.resolve().name), robot.name)
             keys = (name, "foreign", label, _NO_BLOCK, _NO_BLOCK, UNKNOWN_WORLD)
-            yield dict(zip(KEYS, keys, strict=True)) | {RELATION: SAME}, read_trace(robot)
+            yield dict(zip(KEYS, keys, strict=True)) | {RELATION: SAME}, read_trace(robot, numbers)
 
 
-def traced_run(run: RunDirectory) -> TracedRuns:
+def traced_run(run: RunDirectory, numbers: Mapping[str, str] = NO_NUMBERS) -> TracedRuns:
     """Read the trace of one run, whether or not its attack began."""
-    row, trace = _of_run(run, run.manifest())
+    row, trace = _of_run(run, run.manifest(), numbers)
     return TracedRuns(pd.DataFrame([row]), (trace,))
 
 
-def _of_run(run: RunDirectory, manifest: Manifest) -> tuple[dict[str, object], pd.DataFrame]:
+def _of_run(
+    run: RunDirectory, manifest: Manifest, numbers: Mapping[str, str]
+) -> tuple[dict[str, object], pd.DataFrame]:
     keys = (manifest.key, *(getattr(manifest, key) for key in KEYS[1:]))
     relation = manifest.recipe.get("options", {}).get(RELATION, SAME)
     with fetched(run.path) as place, open_run(place) as opened:
-        trace = read_trace(find_robots(opened.bag)[0])
+        trace = read_trace(find_robots(opened.bag)[0], numbers)
     return dict(zip(KEYS, keys, strict=True)) | {RELATION: relation}, trace

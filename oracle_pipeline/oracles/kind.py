@@ -17,6 +17,7 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.manifest import LABELS
 from oracle_pipeline.datasets import is_malicious
 from oracle_pipeline.oracles.requirements import Requirements
+from oracle_pipeline.oracles.traces import SIGNALS, TIME
 
 RELATION = "relation"  # column: relation of a run to the runs of its block, from its recipe
 SAME = "same"  # the relation of all runs that are judged
@@ -64,7 +65,8 @@ class TracedRuns:
     def digests(self) -> list[str]:
         """Return a hash of each trace, by which a recording is known under any name."""
         return [
-            hashlib.sha256(trace.to_numpy().tobytes()).hexdigest()[:16] for trace in self.traces
+            hashlib.sha256(trace[[TIME, *SIGNALS]].to_numpy().tobytes()).hexdigest()[:16]
+            for trace in self.traces
         ]
 
     @property

@@ -7,12 +7,14 @@
         says: No obstacle comes nearer than the radius of the robot.   # optional
         formula: always (nearest_min >= 0.22)
         scale: 0.05     # a difference that matters, in the unit of the formula
+    signals:            # optional
+      voltage: /battery_state/voltage   # any number in the messages: topic, field
 
 A key ``learned_from`` lists the recordings that the formulas were learned from, by
 `TracedRuns.digests`: they cannot show how often a normal run breaks a formula.
 
-A formula is text for the parser of SENTIL [1]_, never code. Its names are signals
-(``traces.SIGNALS``), which are found by role, so a file works for every robot. The robustness of a
+A formula is text for the parser of SENTIL [1]_, never code. Its names are signals of every robot
+(``traces.SIGNALS``), which are found by role, and those that the file names. The robustness of a
 formula is the margin by which it holds; it is negative if the formula is violated [2]_.
 
 References
@@ -23,7 +25,8 @@ References
 """
 
 import difflib
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,14 +39,15 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags import bounded_yaml
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.oracles.traces import RATE, SIGNALS, TIME, known_names, values_of
+from oracle_pipeline.oracles.traces import NO_NUMBERS, RATE, SIGNALS, TIME, known_names, values_of
 
 NAV2 = Path(__file__).with_name("nav2.yaml")
 FARTHEST = 1e6  # limit of a robustness [scales]
 
-_REQUIREMENTS, _LEARNED_FROM = "requirements", "learned_from"
+_REQUIREMENTS, _SIGNALS, _LEARNED_FROM = "requirements", "signals", "learned_from"
 _KEYS = ("name", "formula", "scale", "says")
 _LARGEST = 1024 * 1024  # bytes
+_NAME = re.compile(r"[A-Za-z_]\w*")
 
 
 class RequirementError(OracleError):
@@ -61,8 +65,17 @@ class Requirement:
 
 
 class Requirements(list[Requirement]):
-    """The content of a file: requirements, and the recordings that they were learned from."""
+    """The content of a file.
 
+    Attributes
+    ----------
+    signals : mapping of str to str
+        Further signals of the formulas, and the number in messages that each is.
+    learned_from : frozenset of str
+        The recordings that the formulas were learned from.
+    """
+
+    signals: Mapping[str, str] = NO_NUMBERS
     learned_from: frozenset[str] = frozenset()
 
 
@@ -83,17 +96,19 @@ def load(path: Path) -> Requirements:
         document = bounded_yaml.load(text)
         if not isinstance(document, dict) or list(document)[:1] != [_REQUIREMENTS]:
             raise ValueError(f"it must be a mapping with {_REQUIREMENTS!r} as its first key")
-        if unknown := set(document) - {_REQUIREMENTS, _LEARNED_FROM}:
+        if unknown := set(document) - {_REQUIREMENTS, _SIGNALS, _LEARNED_FROM}:
             raise ValueError(f"unknown key {unknown.pop()!r}")
+        own = _named(document.pop(_SIGNALS, {}))
         if not all(isinstance(value, list) for value in document.values()):
             raise ValueError(f"{' and '.join(map(repr, document))} must be a list")
     except (ValueError, OSError) as error:
         raise RequirementError(f"{path} is not a file of requirements: {error}.") from error
     read = Requirements()
+    read.signals = own
     read.learned_from = frozenset(map(str, document.get(_LEARNED_FROM, [])))
     for line, given in zip(_lines(text), document[_REQUIREMENTS], strict=True):
         try:
-            requirement = _requirement(given)
+            requirement = _requirement(given, own)
             if any(requirement.name == other.name for other in read):
                 raise ValueError(f"the name {requirement.name!r} is used twice")
         except ValueError as error:
@@ -140,7 +155,19 @@ def _robustness(formula: Any, trace: pd.DataFrame) -> float:
     return float(formula.robustness(sentil.Trace(trace[TIME].to_numpy()[known], seen)))
 
 
-def _requirement(given: Any) -> Requirement:
+def _named(given: Any) -> dict[str, str]:
+    """Check the further signals of a file."""
+    if not isinstance(given, dict):
+        raise ValueError(f"{_SIGNALS!r} must be a mapping of names to numbers in messages")
+    for name, number in given.items():
+        if not (isinstance(name, str) and _NAME.fullmatch(name)) or name in known_names():
+            raise ValueError(f"{name!r} cannot name a signal: use letters and _, and another name")
+        if not (isinstance(number, str) and number.startswith("/") and number.count("/") > 1):
+            raise ValueError(f"signal {name!r} must be a topic and a field: /battery_state/voltage")
+    return given
+
+
+def _requirement(given: Any, own: Mapping[str, str]) -> Requirement:
     if not isinstance(given, dict):
         raise ValueError(f"a requirement is a mapping of {', '.join(_KEYS)}")
     if unknown := [str(key) for key in given if key not in _KEYS]:
@@ -152,11 +179,11 @@ def _requirement(given: Any) -> Requirement:
     scale = given.get("scale", 1.0)
     if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0.0 < scale < np.inf:
         raise ValueError(f"'scale' must be a number above 0, found {scale!r}")
-    _check(texts["formula"])
+    _check(texts["formula"], own)
     return Requirement(texts["name"], texts["formula"], float(scale), texts["says"])
 
 
-def _check(formula: str) -> None:
+def _check(formula: str, own: Mapping[str, str]) -> None:
     """Raise an error for a formula that cannot be parsed or evaluated, or has no signal."""
     try:
         parsed = sentil.Formula.parse(formula)
@@ -165,8 +192,8 @@ def _check(formula: str) -> None:
     if not parsed.variables:
         raise ValueError(f"{formula!r} has no signal")
     for name in parsed.variables:
-        if name.removesuffix(RATE) not in SIGNALS:
-            close = difflib.get_close_matches(name, known_names(), 1)
+        if not {name, name.removesuffix(RATE)} & {*SIGNALS, *own}:
+            close = difflib.get_close_matches(name, [*own, *known_names()], 1)
             hint = f"; did you mean {close[0]}?" if close else f"; known are {', '.join(SIGNALS)}"
             raise ValueError(f"there is no signal {name!r}{hint}")
     try:

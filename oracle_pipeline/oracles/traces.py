@@ -2,10 +2,12 @@
 
 Rule-based oracles need signals, not features: the commanded speed, the nearest return of a scanner,
 the number of quiet topics. Signals are found by the roles of topics, so they have the same names on
-every robot. Signals that a robot does not record are NaN.
+every robot. Signals that a robot does not record are NaN. A file of requirements may name further
+ones: any number in the messages.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +19,7 @@ from oracle_pipeline.features.engine.kept_messages import NO_GRAPH, KeptMessages
 from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.motion.velocity import keep as keep_command
 from oracle_pipeline.features.navigation.goals import GOAL_TOPICS, goals_so_far
+from oracle_pipeline.features.signals.collector import SignalCollector
 from oracle_pipeline.robots.robot import Robot
 from oracle_pipeline.robots.roles import COMMAND, IMU, ODOMETRY, POSE, SCAN
 
@@ -29,6 +32,7 @@ _PERIODIC_S = 1.0  # largest median time between messages of a periodic topic
 _FEWEST = 20  # messages needed to call a topic periodic
 _QUIET_S, _QUIET_PERIODS = 2.0, 20.0  # a topic is quiet after the longer of the two
 
+NO_NUMBERS: Mapping[str, str] = MappingProxyType({})
 RATE = "_rate"  # suffix for the change of a signal over the last second
 
 Floats = NDArray[np.float64]
@@ -78,8 +82,8 @@ def values_of(trace: pd.DataFrame, names: Sequence[str]) -> Floats:
     """Return signals and rates of a trace, shape (n_times, n_names); NaN where unknown."""
     columns = []
     for name in names:
-        values = trace[name.removesuffix(RATE)].to_numpy(dtype=np.float64)
-        columns.append(_changes(values) if name.endswith(RATE) else values)
+        values = trace[name if name in trace else name.removesuffix(RATE)].to_numpy(np.float64)
+        columns.append(values if name in trace else _changes(values))
     return np.column_stack(columns)
 
 
@@ -156,12 +160,37 @@ TRACE = fp.FeaturePlugin(
 )  # fmt: skip
 
 
-def read_trace(robot: Robot) -> pd.DataFrame:
+def read_trace(robot: Robot, numbers: Mapping[str, str] = NO_NUMBERS) -> pd.DataFrame:
     """Read the signals of one robot, in one pass over its bag.
 
-    Returns and errors are those of `trace_of`, and `BagError` if the bag cannot be read to its end.
+    Parameters
+    ----------
+    robot : Robot
+    numbers : mapping of str to str
+        Further signals, and the number in messages that each is, such as ``/battery/voltage``.
+
+    Returns
+    -------
+    DataFrame
+        That of `trace_of`, with a column for each further signal.
+
+    Raises
+    ------
+    BagError
+        The bag cannot be read to its end.
     """
-    return trace_of(KeptMessages.read(robot, (TRACE,)))
+    collector = SignalCollector(robot, {number.rpartition("/")[0] for number in numbers.values()})
+    recording = KeptMessages.read(robot, (TRACE,), see=collector.see)
+    trace = trace_of(recording)
+    found = {
+        f"{part.topic}/{name}": fp.Series(part.times_ns.astype(np.float64) * 1e-9, values[:, None])
+        for part in collector.signals(recording.times_ns)
+        for name, values in zip(part.names, part.values.T, strict=True)
+    }
+    for name, number in numbers.items():
+        series = found.get(number, fp.Series(np.zeros(1), np.full((1, 1), np.nan)))
+        (trace[name],) = _held(series, trace[TIME].to_numpy())
+    return trace
 
 
 def trace_of(recording: KeptMessages) -> pd.DataFrame:

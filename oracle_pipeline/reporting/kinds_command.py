@@ -198,12 +198,13 @@ def _material(
     from oracle_pipeline.oracles.kind import RELATION, SAME, KindError, Material
     from oracle_pipeline.oracles.requirements import NAV2, load
 
-    found = traced_runs(recordings, [reference] if reference else [])
+    wanted = load(requirements or NAV2)
+    found = traced_runs(recordings, [reference] if reference else [], wanted.signals)
     is_same = (found.table[RELATION] == SAME).to_numpy()
     if not is_same.any():
         raise KindError("All runs have a --relation; add the runs of the original tasks.")
     follow_ups = None if is_same.all() else found.where(~is_same)
-    material = Material(found.where(is_same), load(requirements or NAV2), answers, follow_ups)
+    material = Material(found.where(is_same), wanted, answers, follow_ups)
     material, note = material.not_learned_from()
     if note:
         click.echo(note, err=True)

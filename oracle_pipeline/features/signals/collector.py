@@ -1,6 +1,6 @@
 """Collects the signals of a recording while its bag is read for the features."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from typing import NamedTuple, TypeAlias
 
@@ -121,6 +121,8 @@ class SignalCollector:
     ----------
     robot : Robot
         Whose bag is read.
+    topics : collection of str, optional
+        Topics whose numbers are collected; by default, all that the robot uses.
 
     Attributes
     ----------
@@ -128,15 +130,15 @@ class SignalCollector:
         Signals that were left out, once `signals` was called.
     """
 
-    def __init__(self, robot: Robot) -> None:
-        bag = robot.bag
+    def __init__(self, robot: Robot, topics: Collection[str] | None = None) -> None:
+        bag, chosen = robot.bag, robot.used if topics is None else topics
         self.notes: list[str] = []
         self._names = list(bag.topics)
         self._first = 0  # number of the next batch's first message
         self._numbers: dict[int, list[Rows]] = {}  # of the messages of each topic
         self._topics: dict[int, _Topic] = {}
         for number, topic in enumerate(bag.topics.values()):
-            if topic.name not in robot.used or topic.msgtype.startswith(_OF_THE_MIDDLEWARE):
+            if topic.name not in chosen or topic.msgtype.startswith(_OF_THE_MIDDLEWARE):
                 continue
             with suppress(BagError):  # the features note topics of unknown types
                 self._topics[number] = _Topic(bag, topic)

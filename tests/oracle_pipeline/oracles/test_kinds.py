@@ -265,6 +265,31 @@ def test_a_trace_without_a_signal_is_judged_by_the_others():
     assert isinstance(runs.table, pd.DataFrame)
 
 
+REQUIREMENT = """
+requirements:
+  - {{name: charged, formula: always (charge{}), scale: 0.1}}
+signals: {{charge: /log/volts}}
+"""
+
+
+@pytest.mark.parametrize("condition", [" >= 11.5", "_rate >= -0.5"])
+def test_a_requirement_on_any_number_of_a_robot_is_held_to_its_recordings(condition, tmp_path):
+    times_s, paths = np.arange(0.0, 6.0, 0.1), []
+    for number, lowest in enumerate((11.8, 11.8, 11.0)):
+        volts = np.where(times_s < 3.0, 12.0, lowest)
+        paths.append(tmp_path / f"{number}.csv")
+        pd.DataFrame({"time": times_s, "volts": volts}).to_csv(paths[-1], index=False)
+    file = tmp_path / "requirements.yaml"
+    file.write_text(REQUIREMENT.format(condition))
+    wanted = load(file)
+    runs = traced_runs(paths[1:], paths[:1], wanted.signals)
+    held = Specified(wanted).score(runs) <= 0.0
+    assert held.tolist() == [True, True, False]
+    assert runs.digests() == traced_runs(paths[1:], paths[:1]).digests()
+    with pytest.raises(KindError, match="No recording has /log/volt, which .* call charge"):
+        traced_runs(paths, [], {"charge": "/log/volt"})
+
+
 def test_all_recordings_that_cannot_be_read_are_named_at_once(tmp_path):
     for name in ("first.mcap", "second.mcap"):
         (tmp_path / name).write_bytes(b"no recording")
