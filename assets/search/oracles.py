@@ -182,7 +182,7 @@ def _ready(oracle: KindOracle) -> _Ready:
             f"one of {', '.join(kinds)}."
         )
     kind = kinds[oracle.name]
-    normal = normal.where(~np.isin(normal.digests(), list(material.requirements.learned_from)))
+    normal = normal.where(~normal.known_in(requirements.learned_from))
     seen = half_to_learn(normal)
     try:
         fitted = kind.learn(normal.where(seen))

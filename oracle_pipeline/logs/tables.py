@@ -264,8 +264,7 @@ def _clock_ns(file: Path, column: pd.Series) -> NDArray[np.float64]:
         if found.notna().mean() < _MOSTLY:
             found = pd.to_datetime(column, errors="coerce", utc=True)
         times = np.array(found.dt.as_unit("ns").astype(np.int64), dtype=np.float64)
-    times[found.isna().to_numpy()] = np.nan
-    return times
+    return np.where(found.isna(), np.nan, times)
 
 
 def _columns(

@@ -14,8 +14,9 @@ from oracle_pipeline.datasets import KEYS
 from oracle_pipeline.logs.formats import recordings_below
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.oracles.kind import RELATION, SAME, KindError, TracedRuns
-from oracle_pipeline.oracles.traces import NO_NUMBERS, read_trace
+from oracle_pipeline.oracles.traces import NO_NUMBERS, all_numbers, read_trace
 from oracle_pipeline.robots.robot import find_robots, of_robot
+from oracle_pipeline.robots.roles import COMMAND, ODOMETRY
 
 _NO_BLOCK = -1  # for a bag without a manifest, which becomes its own block and session
 
@@ -74,6 +75,17 @@ def traced_runs(
     return TracedRuns(
         table.assign(session=table["session"].mask(alone, table["block"])), tuple(traces)
     )
+
+
+def numbers_to_learn(recordings: Sequence[Path]) -> dict[str, str]:
+    """Return all numbers of the first recording, if its robot has no odometry and no commands."""
+    first = next((each for top in recordings for each in recordings_below(top)), None)
+    if first is None:
+        return {}
+    with open_run(first) as opened:
+        robot = find_robots(opened.bag)[0]
+        drives = any(robot.roles.found[role].topics for role in (ODOMETRY, COMMAND))
+        return {} if drives else all_numbers(robot)
 
 
 def _traced(

@@ -11,6 +11,8 @@ References
    Computer Programming 69, 2007.
 """
 
+import functools
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
@@ -23,7 +25,7 @@ from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
 from oracle_pipeline.features.engine.plugin import hookimpl
 from oracle_pipeline.oracles.kind import KindError, Maker, TracedRuns
 from oracle_pipeline.oracles.requirements import FARTHEST, Requirement
-from oracle_pipeline.oracles.traces import RATE, SIGNALS, values_of
+from oracle_pipeline.oracles.traces import RATE, SIGNALS, TIME, values_of
 
 HEAD = """Invariants of normal runs, in the manner of Daikon: bounds of signals, of their change in
 one second (_rate), and of the difference of two signals with the same unit. These runs reached the
@@ -32,6 +34,7 @@ bounds, so a bound may hold only by chance. Delete or change lines as needed.
 
 _FEWEST = 3  # normal runs with the signal
 
+_RELATIVE, _LEAST = 1e-3, 1e-6  # significant difference where none is known: of a bound, at least
 _GROWING = {"travelled"}  # grows with the length of the run, so bounds are meaningless
 
 
@@ -48,16 +51,19 @@ class _Quantity:
 
     @property
     def floor(self) -> float:
-        """The smallest significant difference, in its unit."""
-        return SIGNALS[self.first.removesuffix(RATE)].floor
+        """The smallest significant difference, in its unit; 0 if it is unknown."""
+        signal = SIGNALS.get(self.first.removesuffix(RATE))
+        return signal.floor if signal else 0.0
 
 
-def _quantities() -> tuple[_Quantity, ...]:
-    """Return the expressions of all candidates."""
+@functools.cache
+def _quantities(further: tuple[str, ...]) -> tuple[_Quantity, ...]:
+    """Return the expressions of all candidates, those of further signals too."""
     bounded = [name for name in SIGNALS if name not in _GROWING]
+    changing = [name for name in (*SIGNALS, *further) if f"{name}{RATE}" not in further]
     return (
-        *map(_Quantity, bounded),
-        *(_Quantity(f"{name}{RATE}") for name in SIGNALS),
+        *map(_Quantity, (*bounded, *further)),
+        *(_Quantity(f"{name}{RATE}") for name in changing),
         *(
             _Quantity(first, second)
             for first, second in combinations(bounded, 2)
@@ -66,17 +72,21 @@ def _quantities() -> tuple[_Quantity, ...]:
     )
 
 
-def _extremes(trace: pd.DataFrame) -> NDArray[np.float64]:
-    """Return least and largest value of each expression, shape (2, n_quantities).
+@dataclass(frozen=True, slots=True)
+class _Extremes:
+    """Returns least and largest value of each quantity of a trace; hashable, to be cached."""
 
-    NaN where the trace lacks a signal.
-    """
-    values = values_of(trace, _SINGLES)
-    values = np.hstack([values, values[:, _FIRST] - values[:, _SECOND]])
-    unknown = ~np.isfinite(values)
-    least = np.where(unknown, np.inf, values).min(axis=0, initial=np.inf)
-    largest = np.where(unknown, -np.inf, values).max(axis=0, initial=-np.inf)
-    return np.where(np.isfinite(least), [least, largest], np.nan)
+    quantities: tuple[_Quantity, ...]
+
+    def __call__(self, trace: pd.DataFrame) -> NDArray[np.float64]:
+        """Return an array of shape (2, n_quantities); NaN where the trace lacks a signal."""
+        two = [each for each in self.quantities if each.second]  # they come last
+        values = values_of(trace, [each.first for each in self.quantities])
+        values[:, -len(two) :] -= values_of(trace, [each.second for each in two])
+        unknown = ~np.isfinite(values)
+        least = np.where(unknown, np.inf, values).min(axis=0, initial=np.inf)
+        largest = np.where(unknown, -np.inf, values).max(axis=0, initial=-np.inf)
+        return np.where(np.isfinite(least), [least, largest], np.nan)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -90,6 +100,8 @@ class _LearnedInvariants:
         Spread of the extremes of normal runs: the unit of a violation.
     runs : int
         Number of runs learned from.
+    extremes : callable
+        Returns those of a trace.
     """
 
     low: NDArray[np.float64]
@@ -97,10 +109,11 @@ class _LearnedInvariants:
     low_scale: NDArray[np.float64]
     high_scale: NDArray[np.float64]
     runs: int
+    extremes: _Extremes
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
         """Return each run's largest violation of an invariant, in scales."""
-        least, largest = runs.each(_extremes).transpose(1, 0, 2)
+        least, largest = runs.each(self.extremes).transpose(1, 0, 2)
         beyond = np.hstack(
             [(self.low - least) / self.low_scale, (largest - self.high) / self.high_scale]
         )
@@ -113,16 +126,16 @@ class _LearnedInvariants:
 
     def _written(self) -> Iterator[Requirement]:
         says = f"Held in {self.runs} normal runs."
-        for n, about in enumerate(_QUANTITIES):
+        for n, about in enumerate(self.extremes.quantities):
             name = str(about).replace(" - ", ".minus.")
             if about.second and 0.0 <= self.low[n] < about.floor:  # one signal is never smaller
                 formula = f"always ({about.first} >= {about.second})"
                 yield Requirement(f"{name}.low", formula, _scale(self.low_scale[n]), says)
             elif np.isfinite(self.low[n]):
-                formula = f"always ({about} >= {_text(np.floor, self.low[n])})"
+                formula = f"always ({about} >= {_text(np.floor, self.low[n], self.low_scale[n])})"
                 yield Requirement(f"{name}.low", formula, _scale(self.low_scale[n]), says)
             if np.isfinite(self.high[n]):
-                formula = f"always ({about} <= {_text(np.ceil, self.high[n])})"
+                formula = f"always ({about} <= {_text(np.ceil, self.high[n], self.high_scale[n])})"
                 yield Requirement(f"{name}.high", formula, _scale(self.high_scale[n]), says)
 
 
@@ -152,14 +165,19 @@ class Invariants:
                 f"Invariants need at least {_FEWEST} normal runs, but there are "
                 f"{len(normal.traces)}; record more."
             )
-        least, largest = normal.each(_extremes).transpose(1, 0, 2)
+        further = [name for name in normal.traces[0] if name not in (TIME, *SIGNALS)]
+        extremes = _Extremes(_quantities(tuple(further)))
+        least, largest = normal.each(extremes).transpose(1, 0, 2)
         enough = np.isfinite(least).sum(axis=0) >= _FEWEST
-        floors = np.array([each.floor for each in _QUANTITIES])
+        floors = np.array([each.floor for each in extremes.quantities])
         low, high = np.full((2, len(floors)), np.nan)
         low[enough] = np.nanmin(least[:, enough], axis=0)
         high[enough] = np.nanmax(largest[:, enough], axis=0)
+        unknown = np.maximum(_RELATIVE * np.nan_to_num(np.maximum(abs(low), abs(high))), _LEAST)
+        floors = np.where(floors > 0.0, floors, unknown)
         low_scale, high_scale = (np.maximum(_spread(each), floors) for each in (least, largest))
-        return _LearnedInvariants(low, high, low_scale, high_scale, len(normal.traces))
+        runs = len(normal.traces)
+        return _LearnedInvariants(low, high, low_scale, high_scale, runs, extremes)
 
 
 @hookimpl
@@ -182,12 +200,7 @@ def _scale(spread: float) -> float:
     return float(f"{spread:.4g}")
 
 
-def _text(rounded: np.ufunc, bound: float) -> str:
-    """Return a bound with four decimals, rounded outwards."""
-    return f"{rounded(bound * 1e4) / 1e4:.4f}"
-
-
-_QUANTITIES = _quantities()  # differences of two signals come last
-_SINGLES = [str(each) for each in _QUANTITIES if not each.second]
-_FIRST = [_SINGLES.index(each.first) for each in _QUANTITIES if each.second]
-_SECOND = [_SINGLES.index(each.second) for each in _QUANTITIES if each.second]
+def _text(rounded: np.ufunc, bound: float, scale: float) -> str:
+    """Return a bound with four decimals or more, if its scale is small, rounded outwards."""
+    decimals = max(4, 1 - math.floor(math.log10(scale)))
+    return f"{rounded(bound * 10.0**decimals) / 10.0**decimals:.{decimals}f}"

@@ -5,7 +5,7 @@ finds the kinds.
 """
 
 import hashlib
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Collection, Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeAlias
 
@@ -64,10 +64,12 @@ class TracedRuns:
 
     def digests(self) -> list[str]:
         """Return a hash of each trace, by which a recording is known under any name."""
-        return [
-            hashlib.sha256(trace[[TIME, *SIGNALS]].to_numpy().tobytes()).hexdigest()[:16]
-            for trace in self.traces
-        ]
+        return [_digest(trace) for trace in self.traces]
+
+    def known_in(self, digests: Collection[str]) -> NDArray[np.bool_]:
+        """Return a mask of the runs with one of the digests, with further signals or without."""
+        own = [{_digest(trace), _digest(trace[[TIME, *SIGNALS]])} for trace in self.traces]
+        return np.array([not each.isdisjoint(digests) for each in own], dtype=np.bool_)
 
     @property
     def block(self) -> NDArray[np.int64]:
@@ -88,6 +90,10 @@ class TracedRuns:
     def normal(self) -> NDArray[np.bool_]:
         """Mask of the runs that are known to be normal, shape (n_runs,)."""
         return np.asarray(self.table["label"].isin(LABELS), dtype=np.bool_) & ~self.malicious
+
+
+def _digest(trace: pd.DataFrame) -> str:
+    return hashlib.sha256(trace.to_numpy().tobytes()).hexdigest()[:16]
 
 
 class FittedOracle(Protocol):
@@ -143,7 +149,7 @@ class Material:
         No such run breaks a formula, so all normal runs would seem to keep them. If there is no
         other normal run, the formulas are left out instead.
         """
-        known = np.isin(self.runs.digests(), list(self.requirements.learned_from))
+        known = self.runs.known_in(self.requirements.learned_from)
         if not known.any():
             return self, ""
         if not (self.runs.normal & ~known).any():

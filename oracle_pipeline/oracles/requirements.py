@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags import bounded_yaml
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.oracles.traces import NO_NUMBERS, RATE, SIGNALS, TIME, known_names, values_of
+from oracle_pipeline.oracles.traces import NO_NUMBERS, SIGNALS, TIME, known_names, values_of
 
 NAV2 = Path(__file__).with_name("nav2.yaml")
 FARTHEST = 1e6  # limit of a robustness [scales]
@@ -117,7 +117,12 @@ def load(path: Path) -> Requirements:
     return read
 
 
-def dump(requirements: Iterable[Requirement], head: str, learned_from: Iterable[str] = ()) -> str:
+def dump(
+    requirements: Iterable[Requirement],
+    head: str,
+    learned_from: Iterable[str] = (),
+    signals: Mapping[str, str] = NO_NUMBERS,
+) -> str:
     """Return requirements as YAML, one per line, below a comment."""
     lines = [*(f"# {line}" for line in head.splitlines()), f"{_REQUIREMENTS}:"]
     for each in requirements:
@@ -125,6 +130,8 @@ def dump(requirements: Iterable[Requirement], head: str, learned_from: Iterable[
         given |= {"says": each.says} if each.says else {}
         text = yaml.safe_dump(given, default_flow_style=True, sort_keys=False, width=10_000)
         lines.append(f"  - {text.strip()}")
+    named = [f"  {name}: {number!r}" for name, number in signals.items()]
+    lines += [f"{_SIGNALS}:", *named] if named else []
     known = [f"  - '{digest}'" for digest in learned_from]
     lines += [f"{_LEARNED_FROM}:", *known] if known else []
     return "\n".join(lines) + "\n"
@@ -192,8 +199,8 @@ def _check(formula: str, own: Mapping[str, str]) -> None:
     if not parsed.variables:
         raise ValueError(f"{formula!r} has no signal")
     for name in parsed.variables:
-        if not {name, name.removesuffix(RATE)} & {*SIGNALS, *own}:
-            close = difflib.get_close_matches(name, [*own, *known_names()], 1)
+        if name not in (known := known_names(own)):
+            close = difflib.get_close_matches(name, known, 1)
             hint = f"; did you mean {close[0]}?" if close else f"; known are {', '.join(SIGNALS)}"
             raise ValueError(f"there is no signal {name!r}{hint}")
     try:

@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.features.engine.plugin import hookimpl
-from oracle_pipeline.oracles.kind import Maker, TracedRuns
+from oracle_pipeline.oracles.kind import KindError, Maker, TracedRuns
 from oracle_pipeline.oracles.requirements import FARTHEST, Requirement, violations
 
 
@@ -37,8 +37,16 @@ class Specified:
     def __init__(self, requirements: Sequence[Requirement]) -> None:
         self.requirements = tuple(requirements)
 
-    def learn(self, normal: TracedRuns) -> Self:  # noqa: ARG002 -- there is nothing to learn
-        """Return itself."""
+    def learn(self, normal: TracedRuns) -> Self:
+        """Return itself: there is nothing to learn.
+
+        Raises
+        ------
+        KindError
+            No run has the signals of any requirement.
+        """
+        if normal.traces and np.isnan(normal.each(_Violations(self.requirements))).all():
+            raise KindError("No normal run has the signals of the requirements; write your own.")
         return self
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:

@@ -6,7 +6,8 @@ every robot. Signals that a robot does not record are NaN. A file of requirement
 ones: any number in the messages.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -73,9 +74,10 @@ SIGNALS: Mapping[str, Signal] = {
 }
 
 
-def known_names() -> list[str]:
-    """Return the names that formulas may use: all signals and their rates."""
-    return [*SIGNALS, *(f"{name}{RATE}" for name in SIGNALS)]
+def known_names(further: Iterable[str] = ()) -> list[str]:
+    """Return the names that formulas may use: all signals, further ones, and their rates."""
+    names = [*SIGNALS, *further]
+    return [*names, *(f"{name}{RATE}" for name in names)]
 
 
 def values_of(trace: pd.DataFrame, names: Sequence[str]) -> Floats:
@@ -191,6 +193,18 @@ def read_trace(robot: Robot, numbers: Mapping[str, str] = NO_NUMBERS) -> pd.Data
         series = found.get(number, fp.Series(np.zeros(1), np.full((1, 1), np.nan)))
         (trace[name],) = _held(series, trace[TIME].to_numpy())
     return trace
+
+
+def all_numbers(robot: Robot) -> dict[str, str]:
+    """Return all numbers in a robot's messages, by names for formulas."""
+    collector = SignalCollector(robot)
+    recording = KeptMessages.read(robot, (), see=collector.see)
+    numbers = [
+        f"{part.topic}/{name}"
+        for part in collector.signals(recording.times_ns)
+        for name in part.names
+    ]
+    return {re.sub(r"\W+", "_", number).strip("_"): number for number in numbers}
 
 
 def trace_of(recording: KeptMessages) -> pd.DataFrame:

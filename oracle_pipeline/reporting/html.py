@@ -107,9 +107,8 @@ def _recorded(runs: pd.DataFrame, left_out: int) -> str:
     attacked = int(is_malicious(runs).sum())
     hours = runs["recording_s"].sum() / 3600.0
     of = [count_of(runs[noun].nunique(), noun) for noun in ("mode", "block", "session", "world")]
-    rest = (
-        f" {count_of(left_out, 'more run')} ended before the onset: left out." if left_out else ""
-    )
+    more = count_of(left_out, "more run")
+    rest = f" {more} ended before the onset: left out." if left_out else ""
     return (
         f"{count_of(len(runs), 'run')}: {attacked} attacked, {len(runs) - attacked} normal. "
         f"{', '.join(of)}, {hours:.1f} hours.{rest}"

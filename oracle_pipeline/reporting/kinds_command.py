@@ -157,7 +157,8 @@ def review(
 def invariants(good: tuple[Path, ...], output: Path) -> None:
     """Learn invariants from normal recordings, one line each.
 
-    The file has formulas of signal temporal logic. Review it, delete or change lines, and pass it
+    The file has formulas of signal temporal logic: on the signals of `oracle kinds`, or on all
+    numbers of a robot without odometry and commands. Review it, delete or change lines, and pass it
     to `oracle kinds --requirements`. Every second recording is kept for `oracle kinds`, which
     measures with recordings that the formulas were not learned from; fewer than 6 are all learned
     from.
@@ -168,16 +169,17 @@ def invariants(good: tuple[Path, ...], output: Path) -> None:
         oracle kinds tonight/ --reference good_bags/ --requirements invariants.yaml
     """  # noqa: D301 -- click reads the control character
     from oracle_pipeline.datasets import replacing
-    from oracle_pipeline.oracles.collecting import traced_runs
+    from oracle_pipeline.oracles.collecting import numbers_to_learn, traced_runs
     from oracle_pipeline.oracles.invariants import HEAD, Invariants, half_to_learn
     from oracle_pipeline.oracles.requirements import dump
 
-    runs = traced_runs([], good)
+    numbers = numbers_to_learn(good)
+    runs = traced_runs([], good, numbers)
     normal = runs.where(runs.normal)
     seen = normal.where(half_to_learn(normal))
     learned = Invariants().learn(seen).requirements()
     with replacing(output) as sink:
-        sink.write(dump(learned, HEAD, seen.digests()).encode())
+        sink.write(dump(learned, HEAD, seen.digests(), numbers).encode())
     click.echo(
         f"{len(learned)} invariants of {len(seen.traces)} of {len(normal.traces)} recordings: "
         f"{output}"
@@ -194,12 +196,13 @@ def _material(
     requirements: Path | None,
     answers: dict[str, bool],
 ) -> "Material":
-    from oracle_pipeline.oracles.collecting import traced_runs
+    from oracle_pipeline.oracles.collecting import numbers_to_learn, traced_runs
     from oracle_pipeline.oracles.kind import RELATION, SAME, KindError, Material
     from oracle_pipeline.oracles.requirements import NAV2, load
 
-    wanted = load(requirements or NAV2)
-    found = traced_runs(recordings, [reference] if reference else [], wanted.signals)
+    wanted, normal = load(requirements or NAV2), [reference] if reference else []
+    numbers = wanted.signals or numbers_to_learn([*normal, *recordings])
+    found = traced_runs(recordings, normal, numbers)
     is_same = (found.table[RELATION] == SAME).to_numpy()
     if not is_same.any():
         raise KindError("All runs have a --relation; add the runs of the original tasks.")

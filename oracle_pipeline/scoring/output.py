@@ -130,9 +130,8 @@ def as_text(
         lines.append(BREACH)
     lines += [*shared, *notes[:_MOST_NOTES]]
     if (more := len(notes) - _MOST_NOTES) > 0:
-        lines.append(
-            f"and {count_of(more, 'more note')} on the reference; --format json lists all."
-        )
+        count = count_of(more, "more note")
+        lines.append(f"and {count} on the reference; --format json lists all.")
     return "\n".join([*lines, *cards(verdicts), ""])
 
 

@@ -22,24 +22,16 @@ FEATURES = (
     fp.Feature("max_out_degree", "1", 1.0, "largest out-degree of a vertex"),
     fp.Feature("average_degree", "1", 0.01, "mean degree of n vertices with m edges, 2m/n"),
     fp.Feature("density", "1", 1e-4, "edges over all ordered pairs of vertices, m/(n(n-1))"),
-    fp.Feature(
-        "bipartite_density",
-        "1",
-        1e-3,
-        "edges over all possible node-topic edges, m/(2 x nodes x topics)",
-    ),
+    fp.Feature("bipartite_density", "1", 1e-3,
+        "edges over all possible node-topic edges, m/(2 x nodes x topics)"),
     fp.Feature("degree_entropy", "nat", 0.01, "Shannon entropy of the degree distribution"),
-    fp.Feature(
-        "node_entropy",
-        "1",
-        1e-3,
-        "Shannon entropy of the vertices' shares of the total degree, over its maximum ln n",
-    ),
+    fp.Feature("node_entropy", "1", 1e-3,
+        "Shannon entropy of the vertices' shares of the total degree, over its maximum ln n"),
     fp.Feature("degree_variance", "1", 0.1, "variance of the degrees"),
     fp.Feature("degree_cv", "1", 0.01, "coefficient of variation of the degrees"),
     fp.Feature("max_in_degree_centrality", "1", 1e-3, "largest in-degree divided by n-1"),
     fp.Feature("mean_betweenness", "1", 1e-5, "mean betweenness centrality"),
-)
+)  # fmt: skip
 
 
 def graph_shape(graph: RosGraph) -> dict[str, float]:

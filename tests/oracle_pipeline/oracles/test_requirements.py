@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.oracles.invariants import HEAD, Invariants, half_to_learn
-from oracle_pipeline.oracles.kind import Material
+from oracle_pipeline.oracles.kind import Material, TracedRuns
 from oracle_pipeline.oracles.registry import build_kinds
 from oracle_pipeline.oracles.requirements import (
     NAV2,
@@ -131,6 +131,24 @@ def test_learned_invariants_are_equivalent_as_a_file_of_requirements(tmp_path):
     # Bounds in the file have four decimals, and are weaker than those learned by at most that.
     least = min(each.scale for each in read)
     assert by_formula == pytest.approx(learned.score(runs), abs=2e-4 / least)
+
+
+@pytest.mark.parametrize("size", [1e-5, 1.0, 1e5])
+def test_invariants_of_further_signals_are_equivalent_as_a_file_too(size, tmp_path):
+    runs = campaign(6)
+    draw = np.random.default_rng(0).normal
+    traces = [trace.assign(torque=draw(size=len(trace)) * size) for trace in runs.traces]
+    runs = TracedRuns(runs.table, tuple(traces))
+    learned = Invariants().learn(runs.where(runs.normal))
+    path, signals = tmp_path / "invariants.yaml", {"torque": "/joint_states/effort[0]"}
+    path.write_text(dump(learned.requirements(), HEAD, signals=signals), "utf-8")
+    read = load(path)
+    assert (list(read), read.signals) == (learned.requirements(), signals)
+    of_signal = [each for each in read if "torque" in each.formula]
+    assert len(of_signal) == 4  # its bounds, and those of its rate
+    for usual in runs.where(runs.normal).traces:
+        assert violations(of_signal, usual).max() <= 0.0
+        assert violations(of_signal, usual.assign(torque=-20.0 * size)).max() > 1.0
 
 
 def test_recordings_that_invariants_were_learned_from_do_not_calibrate_them(tmp_path):
