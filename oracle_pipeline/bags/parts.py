@@ -171,12 +171,12 @@ def _open_file(file: Path, path: Path, found: Parts) -> Part:
         raise BagError(
             f"{path} is only a Git LFS pointer to the bag; get the bag itself with `git lfs pull`."
         )
-    zeros = (
-        " It begins with zeros: the disk was full, or the copy failed." if not any(begin) else ""
-    )
+    hint = "For a table, end its name in .csv, .tsv or .parquet."
+    if not any(begin):
+        hint = "It begins with zeros: the disk was full, or the copy failed."
     raise BagError(
         f"{path} is not a bag: it begins neither as MCAP, nor as SQLite, nor as a ROS 1 bag of "
-        f"format 2.0.{zeros}"
+        f"format 2.0. {hint}"
     )
 
 

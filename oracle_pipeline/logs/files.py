@@ -15,7 +15,7 @@ _INFORMATION = Path("meta", "info.json")  # of a LeRobot data set
 _LARGEST = 16 * 2**20  # bytes of it
 
 _KEYS = {"run_id", "mode", "label", "block"}  # of a table of features
-_SUFFIXES = (".csv", ".parquet")
+_SUFFIXES = (".csv", ".tsv", ".parquet")
 _MAGIC: dict[bytes, LogFormat] = {b"ULog\x01\x12\x35": "ulog", b"\xa3\x95\x80": "dataflash"}
 
 

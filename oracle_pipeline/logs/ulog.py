@@ -36,7 +36,7 @@ def read_ulog(path: Path) -> Log:
         found.notes.append("The file is damaged; parts of it could not be read.")
     if log.dropouts:
         lost = sum(drop.duration for drop in log.dropouts)
-        found.notes.append(f"The logger dropped data {len(log.dropouts)} times, {lost} ms in all.")
+        found.notes.append(f"Dropouts of the logger: {len(log.dropouts)}, {lost} ms in all.")
     if not found.topics:
         raise LogError(f"{path} holds no messages.")
     return found

@@ -282,9 +282,9 @@ WRITERS = {
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
 @pytest.mark.parametrize("text", WRITERS.values(), ids=WRITERS)
 def test_a_table_is_read_the_same_however_a_program_writes_it(text, encoding, tmp_path):
-    file = tmp_path / "t.csv"
+    file = tmp_path / "t.tsv"
     file.write_bytes(text.encode(encoding))
-    (topic,) = read_tables(file).topics
+    (topic,) = read_log(file).topics
     assert [name.replace("_", " ") for name in topic.columns] == ["roll [°]"]
     np.testing.assert_array_equal(*topic.columns.values(), TABLE["roll [°]"])
     np.testing.assert_allclose(topic.times_ns - topic.times_ns[0], TABLE["time"] * 1e9, atol=2e3)
