@@ -34,7 +34,8 @@ _UNIT = re.compile(
     r"(?:[_ .\[(]|time|stamp|^t)([mun]?s)(?:ec(?:ond)?s?)?[\])]*$", re.IGNORECASE
 )  # of a time, at the end of its name
 _COUNTERS = re.compile(r"unnamed: 0|index|idx|row|seq|frame|sample|id", re.IGNORECASE)
-_REMARKS = ("#", "sep=")  # begin lines above the names of columns
+_ABOVE = re.compile(r"#|sep=|\s*$")  # begins lines above the names of columns
+_SHARED = 0.5  # least share of columns that recordings have in common; topics have the time
 _COMMA = re.compile(r'(?:^|[;\t ])"?-?\d+,\d+(?:e[+-]?\d+)?"?(?=[;\t ]|$)', re.I | re.M)
 _NUMBERS = re.compile(r"[\[(]?\s*-?[\d.].*[\d.]\s*[\])]?")
 _STEPS = (("ns", 2e6), ("us", 2e3), ("ms", 2.0))  # a robot logs more than a row in two seconds
@@ -45,8 +46,8 @@ _MOSTLY = 0.9  # of the cells of a column must be numbers, or it counts as text
 def is_folder_of_topics(folder: Path) -> bool:
     """Return whether the tables in a folder are the topics of one recording.
 
-    The layout file says so. Without it, they are if most have other columns than the others, or if
-    a folder beside this one has files of the same names.
+    The layout file says so. Without it, they are if most have other columns than the others and
+    few are common to all, or if a folder beside this one has files of the same names.
     """
     tables = tables_in(folder)
     if not tables:
@@ -60,7 +61,9 @@ def is_folder_of_topics(folder: Path) -> bool:
         if other.is_dir() and other != folder
     ):
         return True
-    return 2 * len({_header(table) for table in tables}) > len(tables) > 1
+    headers = [frozenset(_header(table)) for table in tables]
+    shared = len(frozenset.intersection(*headers)) / np.mean([len(header) for header in headers])
+    return 2 * len(set(headers)) > len(tables) > 1 and bool(shared < _SHARED)
 
 
 def read_tables(path: Path, layout: Layout | None = None) -> Log:
@@ -79,6 +82,8 @@ def read_tables(path: Path, layout: Layout | None = None) -> Log:
     """
     layout = layout or find_layout(path)
     log = Log([])
+    if path.is_dir() and not layout.recording:
+        log.notes.append("Its tables are taken as the topics of one recording.")
     for file in tables_in(path) if path.is_dir() else [path]:
         topic, notes = _topic(file, layout.of_file(file.name), named=path.is_dir())
         log.topics.append(topic)
@@ -123,8 +128,7 @@ def _topic(file: Path, about: TopicLayout, *, named: bool) -> tuple[LogTopic, li
     units = {} if msgtype else about.units
     stamps = times_ns[kept].astype(np.int64)
     name = about.topic or (_name(file) if named else "/log")
-    texts = texts if msgtype else {}
-    return LogTopic(name, stamps, kept_columns, msgtype, texts, units), notes
+    return LogTopic(name, stamps, kept_columns, msgtype, texts if msgtype else {}, units), notes
 
 
 def _of_type(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -167,20 +171,18 @@ def _dialect(file: Path) -> dict[str, Any]:
     """Return how a CSV is written, as arguments of pandas, by its first lines."""
     with file.open("rb") as source:
         begin = source.read(65536)
-    wide = begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    encoding = "utf-16" if wide else "utf-8"
+    encoding = "utf-16" if begin[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8"
     try:
         text = codecs.getincrementaldecoder(encoding)().decode(begin)
     except UnicodeDecodeError:
         encoding, text = "cp1252", begin.decode("cp1252", "replace")
     lines = text.removeprefix("\ufeff").splitlines()
-    first = next((n for n, line in enumerate(lines) if _is_row(line)), 0)
+    first = next((n for n, line in enumerate(lines) if not _ABOVE.match(line)), 0)
     row, above = lines[first] if lines else "", lines[first - 1] if first else ""
     mark = max(",;\t", key=row.count)
     mark = mark if mark in row else r"\s+"
-    found: dict[str, Any] = {"sep": mark, "skiprows": first, "encoding": encoding}
-    if mark != "," and _COMMA.search(text):
-        found["decimal"] = ","
+    decimal = "," if mark != "," and _COMMA.search(text) else "."
+    found = {"sep": mark, "skiprows": first, "encoding": encoding, "decimal": decimal}
     cells, names = (re.split(mark, line.strip("# ")) for line in (row, above))
     numbers = pd.to_numeric(pd.Series(cells), errors="coerce").notna()
     if above and len(names) == len(cells) and numbers.any():  # as `numpy.savetxt` writes its header
@@ -188,10 +190,6 @@ def _dialect(file: Path) -> dict[str, Any]:
     elif "." in row and numbers.all():
         found |= {"header": None, "names": [f"column_{n + 1}" for n in range(len(cells))]}
     return found
-
-
-def _is_row(line: str) -> bool:
-    return bool(line.strip()) and not line.startswith(_REMARKS)
 
 
 def _with_time(

@@ -321,6 +321,13 @@ def test_folder_is_topics_of_one_recording_or_recordings_of_one_topic(tmp_path):
     for number in range(3):
         samples.csv(flights).rename(flights / f"flight{number}.csv")
     assert len(list(logs_at(flights))) == 3
+    for number, file in enumerate(sorted(flights.iterdir())):
+        frame = pd.read_csv(file).assign(pitch=0.5, yaw=0.5, **{f"debug{number}": 0.5})
+        frame.to_csv(file, index=False)
+    assert len(list(logs_at(flights))) == 3
+    drive = exported_drive(tmp_path / "drive")
+    assert list(logs_at(drive)) == [drive]
+    assert "Its tables are taken as the topics of one recording." in read_log(drive).notes
     arms = tmp_path / "arms"
     for run in ("monday", "tuesday"):
         (arms / run).mkdir(parents=True)
