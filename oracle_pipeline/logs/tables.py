@@ -155,6 +155,8 @@ def _read(file: Path) -> pd.DataFrame:
     with reading(file, "a table"):
         if file.suffix.lower() == ".parquet":
             frame = pd.read_parquet(file)
+            if frame.index.name or frame.index.dtype.kind in "mM":
+                frame = frame.reset_index(names=frame.index.name or "time")
         else:
             frame = pd.read_csv(file, **_dialect(file), skipinitialspace=True)
         if frame.empty:

@@ -199,11 +199,8 @@ def all_numbers(robot: Robot) -> dict[str, str]:
     """Return all numbers in a robot's messages, by names for formulas."""
     collector = SignalCollector(robot)
     recording = KeptMessages.read(robot, (), see=collector.see)
-    numbers = [
-        f"{part.topic}/{name}"
-        for part in collector.signals(recording.times_ns)
-        for name in part.names
-    ]
+    parts = collector.signals(recording.times_ns)
+    numbers = [f"{part.topic}/{name}" for part in parts for name in part.names]
     return {re.sub(r"\W+", "_", number).strip("_"): number for number in numbers}
 
 

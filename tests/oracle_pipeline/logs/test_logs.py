@@ -290,6 +290,14 @@ def test_a_table_is_read_the_same_however_a_program_writes_it(text, encoding, tm
     np.testing.assert_allclose(topic.times_ns - topic.times_ns[0], TABLE["time"] * 1e9, atol=2e3)
 
 
+@pytest.mark.parametrize("name", ["stamp", None])
+def test_the_time_may_be_the_index_of_a_table(name, tmp_path):
+    DATED.set_index("time").rename_axis(name).to_parquet(tmp_path / "t.parquet")
+    (topic,) = read_tables(tmp_path / "t.parquet").topics
+    assert list(topic.columns) == ["roll [°]"]
+    np.testing.assert_allclose(topic.times_ns - topic.times_ns[0], TABLE["time"] * 1e9, atol=300.0)
+
+
 def test_a_table_without_names_has_numbered_columns(tmp_path):
     file = tmp_path / "t.csv"
     file.write_text(TABLE.to_csv(index=False, header=False))
