@@ -183,14 +183,15 @@ def terms_as_text(card: ReferenceCard) -> list[str]:
             " or ".join(terms.types),
             "" if terms.lowest_hz is None else f"{terms.lowest_hz:.3g}-{terms.highest_hz:.3g} Hz",
             "" if terms.always else "not in all recordings",
-            f"{len(fields)} constant fields"
+            count_of(len(fields), "constant field")
             if (fields := card.contract.constants.get(name))
             else "",
             f"copies {', '.join(of)}" if (of := card.contract.relays.get(name)) else "",
         )
         for name, terms in card.contract.topics.items()
     ]
-    return ["Roles:", *roles, "Topics:", *aligned_lines(rows, indent="    ")]
+    heads = ["Roles:", *roles] if roles else ["Roles: none"]
+    return [*heads, "Topics:", *aligned_lines(rows, indent="    ")]
 
 
 def lowest_far(card: ReferenceCard) -> float:
