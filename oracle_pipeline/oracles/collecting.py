@@ -1,7 +1,10 @@
 """Collects the recordings below some folders: labels from manifests, signals from bags."""
 
+import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
+from typing import TypeAlias
 
 import pandas as pd
 
@@ -17,6 +20,9 @@ from oracle_pipeline.oracles.kind import RELATION, SAME, KindError, TracedRuns
 from oracle_pipeline.oracles.traces import NO_NUMBERS, all_numbers, read_trace
 from oracle_pipeline.robots.robot import find_robots, of_robot
 from oracle_pipeline.robots.roles import COMMAND, ODOMETRY
+from oracle_pipeline.scoring.isolation import WIDE_LIMITS, Job, isolated_each
+
+_Traced: TypeAlias = tuple[dict[str, object], pd.DataFrame]
 
 _NO_BLOCK = -1  # for a bag without a manifest, which becomes its own block and session
 
@@ -54,14 +60,16 @@ def traced_runs(
     rows: list[dict[str, object]] = []
     traces: list[pd.DataFrame] = []
     errors: list[str] = []
-    for path, label in progress_bar(found.items(), unit="recording", desc="signals"):
-        try:
-            for row, trace in _traced(path, label, numbers):
-                own_block = {"block": -2 - len(rows)} if row["block"] == _NO_BLOCK else {}
-                rows.append(row | own_block)
-                traces.append(trace)
-        except (OracleError, OSError) as error:
-            errors.append(str(error))
+    work = {label: partial(_traced, label=label, numbers=dict(numbers)) for label in found.values()}
+    answers = _each([(work[label], path) for path, label in found.items()])
+    for answer in progress_bar(answers, unit="recording", total=len(found), desc="signals"):
+        if isinstance(answer, OracleError):
+            errors.append(str(answer))
+            continue
+        for row, trace in answer:
+            own_block = {"block": -2 - len(rows)} if row["block"] == _NO_BLOCK else {}
+            rows.append(row | own_block)
+            traces.append(trace)
     if errors:
         raise KindError("\n".join(errors))
     for name, number in numbers.items():
@@ -88,21 +96,33 @@ def numbers_to_learn(recordings: Sequence[Path]) -> dict[str, str]:
         return {} if drives else all_numbers(robot)
 
 
-def _traced(
-    path: Path, label: str, numbers: Mapping[str, str]
-) -> Iterator[tuple[dict[str, object], pd.DataFrame]]:
+def _each(jobs: Sequence[Job[list[_Traced]]]) -> Iterator[list[_Traced] | OracleError]:
+    """Yield what each job returns or raises: computed in other processes, if this may start any."""
+    if not multiprocessing.current_process().daemon:
+        yield from isolated_each(jobs, WIDE_LIMITS)
+        return
+    for work, path in jobs:
+        try:
+            yield work(path)
+        except (OracleError, OSError) as error:
+            yield KindError(str(error))
+
+
+def _traced(path: Path, label: str, numbers: Mapping[str, str]) -> list[_Traced]:
+    """Return the traces of a recording's robots; none of an attacked run without its attack."""
     if (path / MANIFEST_FILE).is_file():
         run = RunDirectory.at(path)
         manifest = run.manifest()
-        if manifest.label == "malicious" and manifest.onset_s is None:
-            return
-        yield _of_run(run, manifest, numbers)
-        return
+        too_short = manifest.label == "malicious" and manifest.onset_s is None
+        return [] if too_short else [_of_run(run, manifest, numbers)]
+    traced = []
     with open_run(path) as opened:
         for robot in find_robots(opened.bag):
             name = of_robot(printable(path.resolve().name), robot.name)
             keys = (name, "foreign", label, _NO_BLOCK, _NO_BLOCK, UNKNOWN_WORLD)
-            yield dict(zip(KEYS, keys, strict=True)) | {RELATION: SAME}, read_trace(robot, numbers)
+            row = dict(zip(KEYS, keys, strict=True)) | {RELATION: SAME}
+            traced.append((row, read_trace(robot, numbers)))
+    return traced
 
 
 def traced_run(run: RunDirectory, numbers: Mapping[str, str] = NO_NUMBERS) -> TracedRuns:
@@ -111,9 +131,7 @@ def traced_run(run: RunDirectory, numbers: Mapping[str, str] = NO_NUMBERS) -> Tr
     return TracedRuns(pd.DataFrame([row]), (trace,))
 
 
-def _of_run(
-    run: RunDirectory, manifest: Manifest, numbers: Mapping[str, str]
-) -> tuple[dict[str, object], pd.DataFrame]:
+def _of_run(run: RunDirectory, manifest: Manifest, numbers: Mapping[str, str]) -> _Traced:
     keys = (manifest.key, *(getattr(manifest, key) for key in KEYS[1:]))
     relation = manifest.recipe.get("options", {}).get(RELATION, SAME)
     with fetched(run.path) as place, open_run(place) as opened:

@@ -57,9 +57,7 @@ SIGNALS: Mapping[str, Signal] = {
     "gyro_turn": Signal("rad/s", 0.02, "yaw rate of the first IMU"),
     "acceleration": Signal("m/s^2", 0.05, "magnitude of that IMU's acceleration"),
     "pose_spread": Signal("m", 0.01, "standard deviation of the position, by localisation"),
-    "pose_jump": Signal(
-        "m", 0.02, "difference between the last step of localisation and of odometry"
-    ),
+    "pose_jump": Signal("m", 0.02, "difference of the last steps of localisation and odometry"),
     "nearest_min": Signal("m", 0.02, "nearest return of a scan, minimum over the scanners"),
     "nearest_max": Signal("m", 0.02, "nearest return of a scan, maximum over the scanners"),
     "no_return_min": Signal("1", 0.005, "share of rays without a return, minimum over scanners"),

@@ -74,71 +74,49 @@ def _nav2_params(
 
 _CAMPAIGN_OPTIONS = (
     seed_option,
-    click.option(
-        "--goals", default=lambda: campaigns.Campaign.from_environment().goals_per_run,
+    click.option("--goals", default=lambda: campaigns.Campaign.from_environment().goals_per_run,
         type=click.IntRange(min=1),
-        help="Goals of each run; the thesis used 1.  [default: $ORACLE_GOALS_PER_RUN or 8]",
-    ),
-    click.option(
-        "--storage", default="mcap", show_default=True, type=click.Choice(["mcap", "sqlite3"]),
-        help="Storage of the bag.",
-    ),
-    click.option(
-        "--sessions", default=lambda: campaigns.Campaign.from_environment().sessions,
+        help="Goals of each run; the thesis used 1.  [default: $ORACLE_GOALS_PER_RUN or 8]"),
+    click.option("--storage", default="mcap", show_default=True,
+        type=click.Choice(["mcap", "sqlite3"]), help="Storage of the bag."),
+    click.option("--sessions", default=lambda: campaigns.Campaign.from_environment().sessions,
         type=click.IntRange(min=1),
         help="Number of sessions (days in the laboratory) in which blocks take turns.  [default: "
-        "$ORACLE_SESSIONS or a session for each block]",
-    ),
-    click.option(
-        "--noise-per-run", is_flag=True,
+        "$ORACLE_SESSIONS or a session for each block]"),
+    click.option("--noise-per-run", is_flag=True,
         default=lambda: campaigns.Campaign.from_environment().noise_per_run,
         help="Draw sensor noise and latencies for each run instead of each block; an attack and "
-        "its shadow control still share them.  [default: $ORACLE_NOISE_PER_RUN or no]",
-    ),
-    click.option(
-        "--wiring", default="additive", show_default=True,
+        "its shadow control still share them.  [default: $ORACLE_NOISE_PER_RUN or no]"),
+    click.option("--wiring", default="additive", show_default=True,
         type=click.Choice(get_args(campaigns.Wiring)),
         help="How the collision monitor receives the mode's topic: as one more LiDAR (additive), "
-        "in place of the original LiDAR (replace), or not at all, without the node (absent).",
-    ),
-    click.option(
-        "--odometry-source", default="world", show_default=True,
+        "in place of the original LiDAR (replace), or not at all, without the node (absent)."),
+    click.option("--odometry-source", default="world", show_default=True,
         type=click.Choice(get_args(campaigns.OdometrySource)),
-        help="Source of /odom: ground truth, as on Humble, or the wheel encoders.",
-    ),
-    click.option(
-        "--arena", default=lambda: campaigns.Campaign.from_environment().options.arena,
+        help="Source of /odom: ground truth, as on Humble, or the wheel encoders."),
+    click.option("--arena", default=lambda: campaigns.Campaign.from_environment().options.arena,
         type=click.Choice(get_args(campaigns.ArenaChoice)),
         help="World of the runs; drawn: hexagon, house and random arenas take turns, block by "
-        "block.  [default: $ORACLE_ARENA or drawn]",
-    ),
-    click.option(
-        "--nav2", default=lambda: campaigns.Campaign.from_environment().options.nav2,
+        "block.  [default: $ORACLE_ARENA or drawn]"),
+    click.option("--nav2", default=lambda: campaigns.Campaign.from_environment().options.nav2,
         type=click.Choice(get_args(campaigns.Navigation)),
         help="Settings of Nav2: tuned to the narrow gaps of the hexagon; stock, with which the "
         "collision monitor slows the robot down near walls; or drawn, which is stock in houses "
-        "and tuned elsewhere.  [default: $ORACLE_NAV2 or tuned]",
-    ),
+        "and tuned elsewhere.  [default: $ORACLE_NAV2 or tuned]"),
     click.option(
         "--nav2-param", "nav2_params", multiple=True, metavar="NAME=VALUE", callback=_nav2_params,
         help="A parameter of Nav2, as inflation_radius=0.7 (of both costmaps) or "
         "FollowPath.PathDist.scale=20; may be given more than once.",
     ),
-    click.option(
-        "--relation", default="same", show_default=True,
+    click.option("--relation", default="same", show_default=True,
         type=click.Choice(get_args(campaigns.Relation)),
         help="The task of the runs, compared with that of their blocks: the same; in a mirrored "
         "world; with start and goals in reverse order; or from a start up to 0.3 m away. `oracle "
-        "kinds` expects the same behaviour in all of them.",
-    ),
-    click.option(
-        "--include-hidden-topics", "hidden_topics", is_flag=True,
-        help="Record feedback and status of actions.",
-    ),
-    click.option(
-        "--receive-stamps", is_flag=True,
-        help="Bag stamps are the recorder's wall clock, as without --use-sim-time.",
-    ),
+        "kinds` expects the same behaviour in all of them."),
+    click.option("--include-hidden-topics", "hidden_topics", is_flag=True,
+        help="Record feedback and status of actions."),
+    click.option("--receive-stamps", is_flag=True,
+        help="Bag stamps are the recorder's wall clock, as without --use-sim-time."),
 )  # fmt: skip
 
 
