@@ -89,14 +89,12 @@ for command in (
 
 _strict = click.option(
     "--strict", is_flag=True,
-    help="Reject recordings that are unfinished or have missing parts.",
-)  # fmt: skip
+    help="Reject recordings that are unfinished or have missing parts.")  # fmt: skip
 
 
 _roles = click.option(
     "--roles", type=click.Path(path_type=Path, dir_okay=False, exists=True), metavar="FILE",
-    help="YAML that names robots and roles of topics that cannot be detected.",
-)  # fmt: skip
+    help="YAML that names robots and roles of topics that cannot be detected.")  # fmt: skip
 
 
 def _choices(roles: Path | None) -> "RoleChoices | None":
@@ -110,19 +108,16 @@ def _choices(roles: Path | None) -> "RoleChoices | None":
 @recordings_argument
 @click.option(
     "--table", type=click.Choice(["run", "window"]), default="run", show_default=True,
-    help="One row for the recording, or one for each window of 5 s (every 2.5 s).",
-)  # fmt: skip
+    help="One row for the recording, or one for each window of 5 s (every 2.5 s).")  # fmt: skip
 @click.option(
     "--format", "file_format", type=click.Choice(["text", "json", "parquet"]),
     help="Text for reading; JSON for jq; Parquet for pandas, units in its schema.  [default: text "
-    "on a terminal, else JSON]",
-)  # fmt: skip
+    "on a terminal, else JSON]")  # fmt: skip
 @output_option("--output", "File to write; Parquet needs one.  [default: standard output]")
 @click.option(
     "--roles", is_flag=False, flag_value=_SHOWN, metavar="[FILE]",
     help="Without FILE, after RUN_OR_BAG: print the roles of topics, and ambiguities. With FILE: "
-    "YAML that names robots and roles of topics that cannot be detected.",
-)  # fmt: skip
+    "YAML that names robots and roles of topics that cannot be detected.")  # fmt: skip
 @plugins_option
 @_strict
 def features(
@@ -254,8 +249,7 @@ def _json(table: "Table", tables: "RecordingFeatures") -> str:
 @click.option(
     "--reference", required=True, type=click.Path(path_type=Path),
     help="Normal runs to compare with: a table of run features, a root with features/ or runs/, "
-    "or any folder of run directories or bags. Attacked runs in it are left out.",
-)  # fmt: skip
+    "or any folder of run directories or bags. Attacked runs in it are left out.")  # fmt: skip
 @rate_option("--far", "False positive rate: the share of normal runs that may be called anomalous.")
 @format_option("text", "json", text="Text for reading; one JSON object for programs.")
 @output_option("--junit", "File for the verdicts as JUnit XML, for a CI system.")
@@ -263,25 +257,21 @@ def _json(table: "Table", tables: "RecordingFeatures") -> str:
 @output_option("--page", "File for a page (HTML) with the verdicts, their evidence and pictures.")
 @click.option(
     "--time-limit", default=900.0, show_default=True, type=click.FloatRange(0.0, min_open=True),
-    help="Time limit for the features of one recording [s].",
-)  # fmt: skip
+    help="Time limit for the features of one recording [s].")  # fmt: skip
 @click.option(
     "--memory-limit", default=4.0, show_default=True, type=click.FloatRange(0.0, min_open=True),
-    help="Memory limit for the features of one recording [GiB].",
-)  # fmt: skip
+    help="Memory limit for the features of one recording [GiB].")  # fmt: skip
 @click.option(
     "--contract", type=click.Path(path_type=Path, dir_okay=False, exists=True), metavar="FILE",
     help="Contract to use instead of the card's, as `oracle card show --contract` prints it.",
 )  # fmt: skip
 @click.option(
     "--no-contract", is_flag=True,
-    help="Compare no topics, types, QoS, rates, constant fields, copies and no graph.",
-)  # fmt: skip
+    help="Compare no topics, types, QoS, rates, numbers, constant fields, copies and no graph.")  # fmt: skip
 @click.option(
     "--suite", is_flag=True,
     help="Hold --far for all recordings together: the share of normal ones among those called "
-    "anomalous (Benjamini-Hochberg). Takes more normal runs.",
-)  # fmt: skip
+    "anomalous (Benjamini-Hochberg). Takes more normal runs.")  # fmt: skip
 @click.option("-q", "--quiet", is_flag=True, help="Print one line for each recording not normal.")
 @click.option("-v", "--verbose", is_flag=True, help="Print a line for each unusual family too.")
 @detector_option
@@ -397,8 +387,7 @@ def score(
 @main.command()
 @click.option(
     "--folder", type=click.Path(path_type=Path, file_okay=False, exists=True), default=".",
-    show_default=True, help="The only folder in which files are written.",
-)  # fmt: skip
+    show_default=True, help="The only folder in which files are written.")  # fmt: skip
 def mcp(folder: Path) -> None:
     """Serve the analysis to an assistant: learn, score and more.
 

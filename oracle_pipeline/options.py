@@ -44,14 +44,12 @@ recordings_argument = click.argument(
 
 plugins_option = click.option(
     "--plugins", type=click.Path(path_type=Path), envvar="ORACLE_PLUGINS",
-    help="Folder of feature plugins.  [default: $ORACLE_PLUGINS, if set]",
-)  # fmt: skip
+    help="Folder of feature plugins.  [default: $ORACLE_PLUGINS, if set]")  # fmt: skip
 
 detector_option = click.option(
     "--detector", default="", metavar="NAME",
     help="Detector of plain statistics of all signals that scores in place of ours, such as pca, "
-    "isolation_forest or one of an installed package.",
-)  # fmt: skip
+    "isolation_forest or one of an installed package.")  # fmt: skip
 
 
 def format_option(*formats: str, text: str) -> Callable[[Command], Command]:

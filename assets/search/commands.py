@@ -25,13 +25,11 @@ if TYPE_CHECKING:
 @click.option(
     "--normal", type=click.Path(path_type=Path, exists=True),
     help="Folder of normal recordings from which a kind of oracle learns, and its limit is set.  "
-    "[default: a score above 0 is anomalous]",
-)  # fmt: skip
+    "[default: a score above 0 is anomalous]")  # fmt: skip
 @click.option(
     "--feedback", type=click.Choice(["sensors", "control", "belief"]),
     help="What guides the search: how far sensors disagree, commands are not followed, or odometry "
-    "differs from the way driven.  [default: the effect on the task]",
-)  # fmt: skip
+    "differs from the way driven.  [default: the effect on the task]")  # fmt: skip
 @click.option(
     "--topic", "topics", multiple=True,
     help="Without TEMPLATE: a topic that may be altered in place; may be given more than once.",
@@ -39,25 +37,20 @@ if TYPE_CHECKING:
 @click.option(
     "--operator", "operators", multiple=True,
     help="With --topic: an operator to try, such as drift; may be given more than once.  "
-    "[default: all]",
-)  # fmt: skip
+    "[default: all]")  # fmt: skip
 @click.option(
     "--budget", default="100", show_default=True,
-    help="When to end: a number of trials in total, or a time such as 30m or 2h.",
-)  # fmt: skip
+    help="When to end: a number of trials in total, or a time such as 30m or 2h.")  # fmt: skip
 @click.option(
     "--range", "ranges", metavar="NAME=LOW:HIGH", multiple=True,
     help="Bounds of a parameter of TEMPLATE. By default all numbers with a min and a max are "
-    "varied.",
-)  # fmt: skip
+    "varied.")  # fmt: skip
 @click.option(
     "--blocks", default=3, show_default=True, type=click.IntRange(min=1),
-    help="Number of blocks (start, goals, arena, session) that trials alternate over.",
-)  # fmt: skip
+    help="Number of blocks (start, goals, arena, session) that trials alternate over.")  # fmt: skip
 @click.option(
     "--time-limit", default=120.0, show_default=True, type=click.FloatRange(min=1.0),
-    help="Simulated seconds that a goal may take, on average.",
-)  # fmt: skip
+    help="Simulated seconds that a goal may take, on average.")  # fmt: skip
 @rate_option("--far", "False positive rate at which the oracle decides.")
 @click.option(
     "--sampler", default="tpe", show_default=True,
@@ -66,16 +59,13 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--screen/--no-screen", default=True, show_default=True,
-    help="Skip the run of a trial that the oracle detects in an altered recording.",
-)  # fmt: skip
+    help="Skip the run of a trial that the oracle detects in an altered recording.")  # fmt: skip
 @click.option(
     "--out", default="search", show_default=True, type=click.Path(path_type=Path, file_okay=False),
-    help="Folder of the search. An existing search is continued.",
-)  # fmt: skip
+    help="Folder of the search. An existing search is continued.")  # fmt: skip
 @click.option(
     "--corpus", type=click.Path(path_type=Path, file_okay=False),
-    help="Folder of the misses, as scenario files.  [default: misses in --out]",
-)  # fmt: skip
+    help="Folder of the misses, as scenario files.  [default: misses in --out]")  # fmt: skip
 @batch.allow_actuation_option
 @batch.campaign_options
 @batch.workers_option

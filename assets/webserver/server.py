@@ -48,12 +48,10 @@ _log = logging.getLogger("dagster.ui")
 @click.option("-h", "--host", default="127.0.0.1", show_default=True, help="Address to listen at.")
 @click.option(
     "-p", "--port", type=click.IntRange(1, 65535),
-    help=f"Port to listen at.  [default: {PORT}, or a free one if that is taken]",
-)  # fmt: skip
+    help=f"Port to listen at.  [default: {PORT}, or a free one if that is taken]")  # fmt: skip
 @click.option(
     "--webserver-only", is_flag=True,
-    help="Start no daemon and no code server: they run elsewhere, as in deploy/.",
-)  # fmt: skip
+    help="Start no daemon and no code server: they run elsewhere, as in deploy/.")  # fmt: skip
 def main(workspace: Path | None, host: str, port: int | None, webserver_only: bool) -> None:
     """Open the pipeline in the browser; Control-C ends it.
 

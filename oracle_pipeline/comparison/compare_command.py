@@ -18,8 +18,7 @@ from oracle_pipeline.options import format_option, output_option, plugins_option
 @click.option("--markdown", is_flag=True, help="Print the comment for a pull request instead.")
 @click.option(
     "--link", "links", multiple=True, metavar="URL",
-    help="Link below that comment, such as to films; may be given more than once.",
-)  # fmt: skip
+    help="Link below that comment, such as to films; may be given more than once.")  # fmt: skip
 @output_option(
     "--junit", "File for the outcome as JUnit XML, with a test case for each family of features."
 )

@@ -34,25 +34,20 @@ _PIECE_S = 120.0  # of each recording that a card is learned from
 @click.command()
 @click.option(
     "--reference", metavar="CARD", type=click.Path(path_type=Path, dir_okay=False),
-    help="Reference card, from `oracle learn`. Without one, nothing is judged.",
-)  # fmt: skip
+    help="Reference card, from `oracle learn`. Without one, nothing is judged.")  # fmt: skip
 @click.option(
     "--domain", type=click.IntRange(0, 232),
-    help="DDS domain to watch.  [default: $ROS_DOMAIN_ID, else 0]",
-)  # fmt: skip
+    help="DDS domain to watch.  [default: $ROS_DOMAIN_ID, else 0]")  # fmt: skip
 @click.option(
     "--zenoh", metavar="ENDPOINT",
-    help="Watch robots with rmw_zenoh behind this router, such as tcp/127.0.0.1:7447.",
-)  # fmt: skip
+    help="Watch robots with rmw_zenoh behind this router, such as tcp/127.0.0.1:7447.")  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
-    help="Folder that the recording goes into. Without one, nothing is recorded.",
-)  # fmt: skip
+    help="Folder that the recording goes into. Without one, nothing is recorded.")  # fmt: skip
 @click.option(
     "--learn", metavar="CARD", type=click.Path(path_type=Path, dir_okay=False),
     help="Learn a reference card at the end, from all recordings in --out: pieces of 2 minutes.  "
-    "[default of --out: CARD.recordings]",
-)  # fmt: skip
+    "[default of --out: CARD.recordings]")  # fmt: skip
 @click.option(
     "--split", metavar="SIZE|TIME", callback=as_split,
     help="Size or length of a file of the recording, such as 1GiB or 10min.  [default: one file]",
@@ -67,16 +62,14 @@ _PIECE_S = 120.0  # of each recording that a card is learned from
 )  # fmt: skip
 @click.option(
     "--keep-on", metavar="TOPIC", multiple=True,
-    help="A message on this topic is kept as an alarm is; so is the signal SIGUSR1.",
-)  # fmt: skip
+    help="A message on this topic is kept as an alarm is; so is the signal SIGUSR1.")  # fmt: skip
 @click.option(
     "--keep-service", metavar="NAME", default="",
     help="Offer a std_srvs/srv/Trigger to robots with Cyclone DDS; a call is kept as an alarm is.",
 )  # fmt: skip
 @click.option(
     "--keep-at-most", metavar="SIZE", callback=as_size,
-    help="Size of all that is kept; the oldest is deleted first.  [default: no limit]",
-)  # fmt: skip
+    help="Size of all that is kept; the oldest is deleted first.  [default: no limit]")  # fmt: skip
 @click.option(
     "--alarms-per-hour", type=click.FloatRange(0.0, min_open=True),
     help="False alarms an hour that may be raised.  [default: 0.5, or what the card supports]",
@@ -84,12 +77,10 @@ _PIECE_S = 120.0  # of each recording that a card is learned from
 @format_option("text", "json", text="Text for reading; one JSON object a line for programs.")
 @click.option(
     "--duration", type=click.FloatRange(0.0, min_open=True),
-    help="Seconds until it ends by itself.  [default: when Ctrl-C is pressed]",
-)  # fmt: skip
+    help="Seconds until it ends by itself.  [default: when Ctrl-C is pressed]")  # fmt: skip
 @click.option(
     "--view", metavar="[PORT]", is_flag=False, flag_value=8300, type=click.IntRange(0, 65535),
-    help="Serve a live page at 127.0.0.1.  [port: 8300; 0: any free one]",
-)  # fmt: skip
+    help="Serve a live page at 127.0.0.1.  [port: 8300; 0: any free one]")  # fmt: skip
 @plugins_option
 @click.pass_context
 def watch(

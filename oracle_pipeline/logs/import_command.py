@@ -12,8 +12,7 @@ from oracle_pipeline.bags.terminal import aligned_lines
                 type=click.Path(path_type=Path, exists=False))  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
-    help="Folder for the bags; each has the name of its log.",
-)  # fmt: skip
+    help="Folder for the bags; each has the name of its log.")  # fmt: skip
 @click.option("--guess", is_flag=True, help="Print the layout of a CSV or Parquet log, and stop.")
 def import_logs(logs: tuple[Path, ...], out: Path | None, guess: bool) -> None:
     """Write other logs as rosbag2, which Foxglove and `ros2 bag` open.

@@ -23,12 +23,10 @@ SUFFIXES = (".gif", ".webp", ".png")
 )  # fmt: skip
 @click.option(
     "--frames", default=2.0, show_default=True, type=click.FloatRange(min=0, min_open=True),
-    help="Frames for one second of the run.",
-)  # fmt: skip
+    help="Frames for one second of the run.")  # fmt: skip
 @click.option(
     "--speed", default=10.0, show_default=True, type=click.FloatRange(min=0, min_open=True),
-    help="Seconds of the run in one second of the film.",
-)  # fmt: skip
+    help="Seconds of the run in one second of the film.")  # fmt: skip
 def replay(run_or_bag: Path, places: tuple[Path, ...], frames: float, speed: float) -> None:
     """Draw a run from above, as a film and as one picture.
 

@@ -37,12 +37,10 @@ _requirements = click.option(
 @_requirements
 @click.option(
     "--answers", type=click.Path(path_type=Path, dir_okay=False, exists=True),
-    help="JSON file of a person's answers on some runs, as `oracle review` writes it.",
-)  # fmt: skip
+    help="JSON file of a person's answers on some runs, as `oracle review` writes it.")  # fmt: skip
 @click.option(
     "--questions", type=click.IntRange(0), default=0, show_default=True,
-    help="Number of questions that labels answer in place of a person.",
-)  # fmt: skip
+    help="Number of questions that labels answer in place of a person.")  # fmt: skip
 @rate_option("--far", "False positive rate of each kind, and of all together.")
 @format_option("text", "json", text="Text for reading; one JSON object for programs.")
 @plugins_option
@@ -109,8 +107,7 @@ def kinds(
 )  # fmt: skip
 @click.option(
     "-k", "count", type=click.IntRange(1), default=10, show_default=True,
-    help="Number of runs to ask about.",
-)  # fmt: skip
+    help="Number of runs to ask about.")  # fmt: skip
 def review(
     recordings: tuple[Path, ...],
     reference: Path | None,

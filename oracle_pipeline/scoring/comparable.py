@@ -1,15 +1,24 @@
 """Which features a recording shares with a reference, and which of its runs it resembles."""
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oracle_pipeline.datasets import MISSING, feature_columns, field_metadata, signal_columns
+from oracle_pipeline.datasets import (
+    MISSING,
+    feature_columns,
+    field_metadata,
+    signal_columns,
+    topic_of_signal,
+)
+from oracle_pipeline.features.signals.collector import MOST_OF_TOPIC
 from oracle_pipeline.scoring.verdict import ScoringError
 
+_PRESENT = ".missing"  # ends the column of every number that a recording has
 LISTED = 5  # most features or reasons named in a note
 
 
@@ -49,6 +58,24 @@ def shared_features(
         f"{len(absent)} features of the reference count as usual, because this recording lacks "
         f"them: {join_first(absent)} ({join_first(why)})."
     ]
+
+
+def lacking_numbers(row: pd.DataFrame, reference: pd.DataFrame) -> dict[str, str]:
+    """Return the numbers that all runs of a reference have and a recording lacks, by topic.
+
+    Topics without any number are left out, and those of which not all numbers were taken.
+    """
+    usual, own = (
+        [c.removesuffix(_PRESENT) for c in signal_columns(df) if c.endswith(_PRESENT) and known[c]]
+        for df, known in ((reference, reference.notna().all()), (row, row.notna().all()))
+    )
+    lacking: dict[str, list[str]] = {}
+    of_topic = Counter(map(topic_of_signal, own))
+    for number in sorted(set(usual) - set(own)):
+        topic = topic_of_signal(number)
+        if 1 < of_topic[topic] < MOST_OF_TOPIC:  # one is the time between messages
+            lacking.setdefault(topic, []).append(number.rpartition("/")[2])
+    return {topic: join_first(names) for topic, names in lacking.items()}
 
 
 def join_first(words: Sequence[str]) -> str:

@@ -11,7 +11,8 @@ import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal, NamedTuple, Self
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from rosbags.interfaces import Qos
@@ -42,6 +43,11 @@ _ROUNDED = "the numbers differ by rounding"
 _FILTERED = "all messages are altered, as a filter does, and the features say how much"
 _UNSTEADY = "normal recordings differ in such terms, too"
 _OTHER_MACHINE = "another machine or a full queue changes a rate as much"
+
+Term: TypeAlias = Literal[
+    "topic", "type", "qos", "rate", "constant", "copies", "clock", "graph", "number"
+]
+NOTHING: Mapping[str, str] = MappingProxyType({})
 
 # ROS 2 tools append a suffix to some node names that differs between processes.
 _PROCESS_SUFFIX = re.compile(r"(?<=_)(?:0x)?[0-9a-f]*\d[0-9a-f]*$")
@@ -79,7 +85,7 @@ class Breach(NamedTuple):
 
     name: str  # of a topic, a node or an edge; or "clock"
     text: str  # a sentence; that of a note has the reason
-    term: Literal["topic", "type", "qos", "rate", "constant", "copies", "clock", "graph"] = "topic"
+    term: Term = "topic"
     severity: Literal["breach", "note"] = "breach"
 
 
@@ -248,12 +254,16 @@ class Contract:
             not any(seen.set_back for seen in observations),
         )
 
-    def breaches(self, seen: Observation, *, rates: bool = True) -> list[Breach]:
+    def breaches(
+        self, seen: Observation, lacking: Mapping[str, str] = NOTHING, *, rates: bool = True
+    ) -> list[Breach]:
         """Return the breaches of the contract by a recording: topics first, by name.
 
         Parameters
         ----------
         seen : Observation
+        lacking : mapping of str to str
+            Topic -> numbers that all normal recordings have, and this one lacks.
         rates : bool
             Whether to compare rates too; these are of whole recordings.
         """
@@ -284,11 +294,15 @@ class Contract:
                 for at_s, back_s in seen.set_back
             ]
         found += self._of_graph(seen.graph)
+        for name, numbers in lacking.items():
+            if name in seen.topics and seen.topics[name][0] in self.topics[name].types:
+                text = f"Topic {name} lacks {numbers}, which all normal recordings have."
+                found.append(Breach(name, text, "number"))
         return [_noted(each, _UNSTEADY) if each.term in self.unsteady else each for each in found]
 
-    def broken_terms(self, seen: Observation) -> set[str]:
+    def broken_terms(self, seen: Observation, lacking: Mapping[str, str] = NOTHING) -> set[str]:
         """Return the kinds of terms in which a recording departs by more than notes."""
-        return {each.term for each in self.breaches(seen) if each.severity == "breach"}
+        return {each.term for each in self.breaches(seen, lacking) if each.severity == "breach"}
 
     def breach_of_silence(self, name: str, silent_s: float) -> Breach | None:
         """Return a breach if a topic of a running robot has been silent for too long [s]."""

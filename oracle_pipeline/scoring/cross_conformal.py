@@ -39,6 +39,7 @@ FOLDS = 10
 SEED = 0  # of the folds, and of detectors that draw
 MIN_BLOCKS = 3  # two to fit on, one to hold out
 WELL_KNOWN = 200  # features beside which signals count half
+_ROUNDING = 1e-9  # spread of scores up to which they count as equal [scales]
 
 
 class CrossConformalScorer:
@@ -114,13 +115,13 @@ class CrossConformalScorer:
         self.levels_ = self.scorers_[0].levels
         self.centre_, mad = _median_and_mad(by_level)
         self.spread_ = np.maximum(mad, by_level.std(axis=0))
-        self.spread_[self.spread_ == 0.0] = 1.0
+        self.spread_[self.spread_ < _ROUNDING] = 1.0
         if self.design.uses_features:
             known = len(self.design.run_features) / WELL_KNOWN
             self.spread_[np.isin(self.levels_, run_scorer.OF_SIGNALS)] *= 1.0 + known
         centre, mad = _median_and_mad(self._combined(by_level))
         self.centre_ = self.centre_ + centre * self.spread_
-        self.spread_ = self.spread_ * np.where(mad > 0.0, mad, 1.0)
+        self.spread_ = self.spread_ * np.where(mad > _ROUNDING, mad, 1.0)
         self.held_out_ = self._combined(by_level)
         self.windows_ = None
         if self.design.window_features:

@@ -19,6 +19,7 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import MISSING
 from oracle_pipeline.detectors import SignalScaler, by_family, explain
 from oracle_pipeline.features import FeatureManager, FeatureTables
+from oracle_pipeline.features.signals.collector import CUT
 from oracle_pipeline.logs.formats import recordings_below
 from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.roles_file import RoleChoices
@@ -26,7 +27,7 @@ from oracle_pipeline.scoring import isolation
 from oracle_pipeline.scoring.alarms import RATE_PER_H, Alarm, AlarmRule, AlarmWatch
 from oracle_pipeline.scoring.blocks import PER_SEED
 from oracle_pipeline.scoring.card import ReferenceCard
-from oracle_pipeline.scoring.comparable import same_recording, shared_features
+from oracle_pipeline.scoring.comparable import lacking_numbers, same_recording, shared_features
 from oracle_pipeline.scoring.conformal import adjusted_for_suite, runs_needed
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
@@ -320,8 +321,8 @@ def _compared(recording: Recording, card: ReferenceCard) -> tuple[Verdict, Featu
             return unlike, tables
         if any(t.always and name not in seen.topics for name, t in card.contract.topics.items()):
             tables = _without_rates(tables)
+    breaches, notes = _lines_of_contract(card, seen, tables)
     tables, of_length = comparable_tables(tables, card.scorer.lengths)
-    breaches, notes = _lines_of_contract(card, seen)
     verdict = Verdict(
         name,
         "unsupported",  # until `decide_suite` sets the outcome
@@ -390,12 +391,14 @@ def _alarms(
 
 
 def _lines_of_contract(
-    card: ReferenceCard, seen: Observation | None
+    card: ReferenceCard, seen: Observation | None, tables: FeatureTables
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the breaches of the contract, and the notes on it."""
     if card.contract is None or seen is None:
         return (), ()
-    found = card.contract.breaches(seen)
+    is_cut = any(note.startswith(CUT) for note in tables.notes)
+    lacking = {} if is_cut else lacking_numbers(tables.run, card.runs)
+    found = card.contract.breaches(seen, lacking)
     return (
         tuple(each.text for each in found if each.severity == "breach"),
         tuple(each.text for each in found if each.severity == "note"),

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from oracle_pipeline import datasets
 from oracle_pipeline.detectors import Mahalanobis, named_detector, single_threaded
@@ -18,7 +19,7 @@ from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring import run_scorer
 from oracle_pipeline.scoring.card import ReferenceCard, is_card
-from oracle_pipeline.scoring.comparable import same_kind, shared_features
+from oracle_pipeline.scoring.comparable import lacking_numbers, same_kind, shared_features
 from oracle_pipeline.scoring.contract import Contract, Observation
 from oracle_pipeline.scoring.cross_conformal import SEED, CrossConformalScorer
 from oracle_pipeline.scoring.feature_sets import ASPECTS, feature_sets
@@ -78,8 +79,8 @@ def _learned(reference: Reference, detector: str) -> ReferenceCard:
     contract, breaching = None, None
     if reference.observations:
         observations = reference.observations
-        fold_of = dict(zip(runs.features["run_id"], scorer.fold_.tolist(), strict=True))
-        broken = _broken_terms(observations, [fold_of[run_id] for run_id in table["run_id"]])
+        fold_of = pd.Series(scorer.fold_, index=runs.features["run_id"])
+        broken = _broken_terms(observations, table, fold_of.loc[table["run_id"]].to_numpy())
         unsteady = _unsteady(broken)
         contract = replace(Contract.learned(observations), unsteady=unsteady)
         breaching = sum(bool(terms - unsteady) for terms in broken)
@@ -89,13 +90,18 @@ def _learned(reference: Reference, detector: str) -> ReferenceCard:
     )  # fmt: skip
 
 
-def _broken_terms(observations: Sequence[Observation], folds: Sequence[int]) -> list[set[str]]:
+def _broken_terms(
+    observations: Sequence[Observation], table: pd.DataFrame, folds: NDArray[np.int64]
+) -> list[set[str]]:
     """Return the terms that each recording breaks of the contract that the other folds teach."""
-    of_all = list(zip(observations, folds, strict=True))
-    contracts = {
-        fold: Contract.learned([seen for seen, own in of_all if own != fold]) for fold in set(folds)
-    }
-    return [contracts[own].broken_terms(seen) for seen, own in of_all]
+    broken: list[set[str]] = [set() for _ in observations]
+    for fold in np.unique(folds):
+        others = table[folds != fold]
+        contract = Contract.learned(list(itertools.compress(observations, folds != fold)))
+        for n in np.flatnonzero(folds == fold).tolist():
+            lacking = lacking_numbers(table.iloc[[n]], others)
+            broken[n] = contract.broken_terms(observations[n], lacking)
+    return broken
 
 
 def _unsteady(broken: Sequence[set[str]]) -> frozenset[str]:

@@ -25,8 +25,7 @@ from sim.experiments import remake_run
 @click.option(
     "--root", type=click.Path(path_type=Path, file_okay=False, exists=True),
     default=home,
-    help="Root of the run directories.  [default: $ORACLE_HOME or ./data]",
-)  # fmt: skip
+    help="Root of the run directories.  [default: $ORACLE_HOME or ./data]")  # fmt: skip
 def storage(root: Path) -> None:
     """Show how much disk space runs take, and how many more fit.
 

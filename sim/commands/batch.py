@@ -30,8 +30,7 @@ def home() -> Path:
 
 seed_option = click.option(
     "--seed", default=campaigns.DEFAULT_SEED, show_default=True, type=click.IntRange(min=0),
-    help="Seed of all randomness; the same seed gives the same messages.",
-)  # fmt: skip
+    help="Seed of all randomness; the same seed gives the same messages.")  # fmt: skip
 allow_actuation_option = click.option(
     "--allow-actuation", is_flag=True, help="Allow a scenario that sends commands to motors."
 )
@@ -48,16 +47,13 @@ def mode_option(default: str | None = None) -> Callable[[Command], Command]:
 
 number_option = click.option(
     "-n", "--number", default=1, show_default=True, type=click.IntRange(min=1),
-    help="How many runs: run000, run001, ...",
-)  # fmt: skip
+    help="How many runs: run000, run001, ...")  # fmt: skip
 out_option = click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), default=home,
-    help="Root of the run directories.  [default: $ORACLE_HOME or ./data]",
-)  # fmt: skip
+    help="Root of the run directories.  [default: $ORACLE_HOME or ./data]")  # fmt: skip
 workers_option = click.option(
     "--workers", default=lambda: os.cpu_count() or 1, type=click.IntRange(min=1),
-    help="Number of runs at the same time.  [default: one for each core]",
-)  # fmt: skip
+    help="Number of runs at the same time.  [default: one for each core]")  # fmt: skip
 refresh_option = click.option("--refresh", is_flag=True, help="Simulate existing runs again.")
 
 

@@ -32,24 +32,20 @@ from sim.testbeds import TESTBEDS, testbed_of, which_testbed
     "--over", "texts", multiple=True, metavar="NAME=LOW:HIGH:COUNT[:log]",
     help="A parameter and the values it takes, equal steps or (:log) equal ratios apart. Given "
     "more than once, each parameter is swept by itself.  [default: the magnitude of a built-in "
-    "attack, or else each number with a min and a max in 8 steps]",
-)  # fmt: skip
+    "attack, or else each number with a min and a max in 8 steps]")  # fmt: skip
 @click.option(
     "--blocks", default=5, show_default=True, type=click.IntRange(min=1),
-    help="How many blocks; each has all values.",
-)  # fmt: skip
+    help="How many blocks; each has all values.")  # fmt: skip
 @click.option(
     "--on", "controls", metavar="RUNS_DIR",
     type=click.Path(path_type=Path, file_okay=False, exists=True),
     help="Mutate the bags of these runs (run000 is block 0) instead of recording: what the "
     "topics would have shown if the robot had driven the same way. Recording options have no "
-    "effect then.",
-)  # fmt: skip
+    "effect then.")  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
     help="Root of the run directories and place of grid.json; with --all, of a folder for each "
-    "attack.  [default: grids/SCENARIO below $ORACLE_HOME or ./data]",
-)  # fmt: skip
+    "attack.  [default: grids/SCENARIO below $ORACLE_HOME or ./data]")  # fmt: skip
 @batch.allow_actuation_option
 @batch.campaign_options
 @batch.workers_option

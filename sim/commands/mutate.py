@@ -33,25 +33,20 @@ from sim.modes import find_mode
 @click.option(
     "--like", metavar="RUN", type=click.Path(path_type=Path, file_okay=False, exists=True),
     help="Repeat the attack of a recorded run: its scenario (unless SCENARIO is another), its "
-    "parameters, seed, onset and end.",
-)  # fmt: skip
+    "parameters, seed, onset and end.")  # fmt: skip
 @click.option(
     "--at", "at_s", type=click.FloatRange(min=0), metavar="SECONDS",
-    help="Onset in seconds of the recording.  [default: what the scenario says]",
-)  # fmt: skip
+    help="Onset in seconds of the recording.  [default: what the scenario says]")  # fmt: skip
 @click.option(
     "--seed", type=click.IntRange(min=0),
-    help=f"Seed of all randomness.  [default: that of --like, or {DEFAULT_SEED}]",
-)  # fmt: skip
+    help=f"Seed of all randomness.  [default: that of --like, or {DEFAULT_SEED}]")  # fmt: skip
 @click.option(
     "-p", "--parameter", "words", multiple=True, metavar="NAME=VALUE",
-    help="A parameter's value in place of its default; may be given more than once.",
-)  # fmt: skip
+    help="A parameter's value in place of its default; may be given more than once.")  # fmt: skip
 @click.option(
     "--topic", "topics", multiple=True, metavar="[NAME=]TOPIC",
     help="Alter this topic, of the scenario's type, in place. With NAME: the topic of the "
-    "scenario's source NAME. May be given more than once.",
-)  # fmt: skip
+    "scenario's source NAME. May be given more than once.")  # fmt: skip
 @allow_actuation_option
 def mutate(
     bag_in: Path,

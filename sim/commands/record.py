@@ -20,23 +20,19 @@ from sim.testbeds import TESTBEDS, require_testbed, which_testbed
 @click.option(
     "--scenario", metavar="FILE",
     help="Your own experiment: a scenario file (FILE#NAME if it holds several), or a "
-    "built-in scenario that is not a mode, by its name.",
-)  # fmt: skip
+    "built-in scenario that is not a mode, by its name.")  # fmt: skip
 @click.option(
     "--testbed", metavar="NAME",
     help=f"Where: {', '.join(TESTBEDS)}. Alone, it records normal runs; with --scenario, it runs "
-    "that scenario there.  [default: that of the mode or scenario]",
-)  # fmt: skip
+    "that scenario there.  [default: that of the mode or scenario]")  # fmt: skip
 @batch.allow_actuation_option
 @batch.number_option
 @click.option(
     "--first-block", default=0, show_default=True, type=click.IntRange(min=0),
-    help="Block of the first run; run007 is of block 7.",
-)  # fmt: skip
+    help="Block of the first run; run007 is of block 7.")  # fmt: skip
 @click.option(
     "--session", type=click.IntRange(min=0),
-    help="Session of all runs.  [default: as --sessions says]",
-)  # fmt: skip
+    help="Session of all runs.  [default: as --sessions says]")  # fmt: skip
 @batch.out_option
 @batch.campaign_options
 @batch.workers_option

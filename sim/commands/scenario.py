@@ -66,8 +66,7 @@ def check(files: tuple[Path, ...], allow_actuation: bool) -> None:
 @scenario.command("list")
 @click.option(
     "--format", "form", default="table", show_default=True, type=click.Choice(["table", "json"]),
-    help="For people or for programs.",
-)  # fmt: skip
+    help="For people or for programs.")  # fmt: skip
 def list_(form: str) -> None:
     """List the built-in scenarios and your own (ORACLE_SCENARIOS).
 

@@ -37,20 +37,17 @@ _HELP = "Type `attack NAME` (a mode or a scenario file), `attack off`, or Ctrl-C
 @mode_option(DEFAULT_MODE)
 @click.option(
     "--speed", default=1.0, show_default=True, type=click.FloatRange(0.0, min_open=True),
-    help="Real-time factor, limited by the speed of the machine.",
-)  # fmt: skip
+    help="Real-time factor, limited by the speed of the machine.")  # fmt: skip
 @click.option(
     "--domain", type=click.IntRange(0, 232),
-    help="DDS domain.  [default: $ROS_DOMAIN_ID, else 0]",
-)  # fmt: skip
+    help="DDS domain.  [default: $ROS_DOMAIN_ID, else 0]")  # fmt: skip
 @click.option("--run", default=0, show_default=True, type=click.IntRange(min=0),
               help="Which run of the campaign: its start, goals and nuisance.")  # fmt: skip
 @click.option("--goals", default=20, show_default=True, type=click.IntRange(min=1),
               help="Goals of the patrol; it ends after the last.")  # fmt: skip
 @click.option(
     "--without-node", is_flag=True,
-    help="Leave out the mode's node, for another program to take its place.",
-)  # fmt: skip
+    help="Leave out the mode's node, for another program to take its place.")  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False),
     help="Root to store the run in, as `oracle-sim record` does.  [default: it is not kept]",

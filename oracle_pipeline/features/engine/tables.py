@@ -27,8 +27,8 @@ class FeatureTables(NamedTuple):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Parts of the recording that are missing, could not be read or were not used."""
-        return tuple(self.run.attrs["notes"])
+        """Parts of the recording that are missing or were not used; none of a stored row."""
+        return tuple(self.run.attrs.get("notes", ()))
 
 
 @dataclass(frozen=True, slots=True)

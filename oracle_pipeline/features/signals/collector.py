@@ -18,6 +18,7 @@ from oracle_pipeline.robots.roles import is_static
 
 MOST_OF_TOPIC = 48  # signals of one topic
 MOST_SIGNALS = 320  # of a recording
+CUT = f"The recording has more than {MOST_SIGNALS} signals"  # begins a note
 MOST_BYTES = 32 * 2**20  # of the messages of a topic that are decoded; the others are passed over
 MOST_MESSAGES = 20_000  # of a topic that are decoded
 _MOST_WAITING = 4 * 2**20  # bytes of a topic's messages that wait to be decoded together
@@ -173,10 +174,8 @@ class SignalCollector:
                 found.append(_periods(self._names[number], times_ns[np.concatenate(of_topic)]))
         if cut:
             topics = list(dict.fromkeys(cut))
-            self.notes.append(
-                f"The recording has more than {MOST_SIGNALS} signals; those of {len(topics)} "
-                f"topics, such as {', '.join(topics[:5])}, are left out."
-            )
+            some = f"{len(topics)} topics, such as {', '.join(topics[:5])}"
+            self.notes.append(f"{CUT}; those of {some}, are left out.")
         return sorted(found, key=lambda signals: signals.topic)
 
     def _order(self, number: int) -> tuple[int, str]:

@@ -1,0 +1,52 @@
+"""A number that every normal recording has is part of what a robot says."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from oracle_pipeline.bags.types import message_class
+from oracle_pipeline.cli import main
+from tests.oracle_pipeline.features.conftest import header, write_bag
+
+JOINTS = ("pan", "lift", "wrist")
+STATE = "sensor_msgs/msg/JointState"
+
+
+def move(path, nth, joints=JOINTS):
+    draw, recorded = np.random.default_rng(nth).normal, []
+    for time_s in np.arange(0.0, 8.0, 0.05):
+        angles = np.sin(time_s + nth + np.arange(len(joints))) + 0.01 * draw(size=len(joints))
+        state = message_class(STATE)(
+            header(time_s, ""), list(joints), angles, np.zeros(0), np.zeros(0)
+        )
+        recorded.append((time_s, "/joint_states", state))
+    write_bag(path, recorded)
+    return path
+
+
+@pytest.fixture(scope="module")
+def card(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("arm")
+    for nth in range(6):
+        move(folder / "good" / f"{nth}", nth)
+    card = folder / "arm.card"
+    done = CliRunner().invoke(main, ["learn", str(folder / "good"), "--output", str(card)])
+    assert done.exit_code == 0, done.output
+    return card
+
+
+@pytest.mark.parametrize(
+    ("joints", "lacking"),
+    [(JOINTS, ""), (JOINTS[:2], "position[wrist]"), (("pan", "lift", "hand"), "position[wrist]")],
+)
+def test_a_number_that_all_normal_recordings_have_is_missed(card, joints, lacking, tmp_path):
+    recording = move(tmp_path / "tonight", 9, joints)
+    words = ["score", str(recording), "--reference", str(card), "--far", "0.15"]
+    done = CliRunner().invoke(main, [*words, "--format", "json"])
+    (verdict,) = json.loads(done.stdout)["recordings"]
+    said = [line for line in verdict["contract"] if " lacks " in line]
+    told = f"Topic /joint_states lacks {lacking}, which all normal recordings have."
+    assert said == ([told] if lacking else [])
+    assert done.exit_code == int(bool(lacking))
