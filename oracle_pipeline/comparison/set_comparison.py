@@ -24,6 +24,7 @@ from oracle_pipeline.comparison.measurements import (
 from oracle_pipeline.datasets import SIGNALS
 from oracle_pipeline.features import FeatureManager
 from oracle_pipeline.logs.formats import recordings_below
+from oracle_pipeline.scoring.comparable import lacking_numbers
 from oracle_pipeline.scoring.learning import common_signals, settings_among
 from oracle_pipeline.scoring.reference import Reference, read_reference
 
@@ -277,6 +278,9 @@ def _medians(resamples: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _notes(first: Reference, second: Reference) -> Iterator[str]:
+    for name, one, other in (("A", first, second), ("B", second, first)):
+        for topic, numbers in lacking_numbers(one.table, other.table).items():
+            yield f"{name} lacks {numbers} of {topic}, which all of the other set have."
     yield from (*first.notes, *second.notes)
     for name, each in (("A", first), ("B", second)):
         if (robots := len(each.table)) > (recordings := _count(each)):

@@ -50,3 +50,12 @@ def test_a_number_that_all_normal_recordings_have_is_missed(card, joints, lackin
     told = f"Topic /joint_states lacks {lacking}, which all normal recordings have."
     assert said == ([told] if lacking else [])
     assert done.exit_code == int(bool(lacking))
+
+
+def test_comparing_two_sets_tells_which_numbers_one_of_them_lacks(card, tmp_path):
+    for nth in range(3):
+        move(tmp_path / f"{nth}", nth, JOINTS[:2])
+    done = CliRunner().invoke(main, ["compare", str(card.parent / "good"), str(tmp_path)])
+    told = "B lacks position[wrist] of /joint_states, which all of the other set have."
+    assert told in done.stdout
+    assert "A lacks" not in done.stdout
