@@ -267,7 +267,8 @@ def _json(table: "Table", tables: "RecordingFeatures") -> str:
 )  # fmt: skip
 @click.option(
     "--no-contract", is_flag=True,
-    help="Compare no topics, types, QoS, rates, numbers, constants, copies and no graph.")  # fmt: skip
+    help="Compare no topics, types, QoS, rates, numbers, constant fields, copies and no graph.",
+)  # fmt: skip
 @click.option(
     "--suite", is_flag=True,
     help="Hold --far for all recordings together: the share of normal ones among those called "
