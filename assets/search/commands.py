@@ -108,7 +108,8 @@ def search(
         search = Search(out, space, settings, controls, of_runs.seed)
         _follow(search.run(limit, workers, partial(click.echo, err=True)))
         findings = search.findings
-        files = save(out, findings, search.front, settings.far, corpus or out / MISSES)
+        where = corpus or out / MISSES
+        files = save(out, findings, search.front, settings.far, where, of_runs.seed)
     click.echo(
         f"{len(findings)} trials, {sum(f.screened_out for f in findings)} of them detected before "
         f"they were run. {len(files)} had an effect and were missed."

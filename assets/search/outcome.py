@@ -25,7 +25,12 @@ def misses(findings: Sequence[Finding]) -> list[Finding]:
 
 
 def save(
-    folder: Path, findings: Sequence[Finding], front: Sequence[Finding], far: float, corpus: Path
+    folder: Path,
+    findings: Sequence[Finding],
+    front: Sequence[Finding],
+    far: float,
+    corpus: Path,
+    seed: int,
 ) -> list[Path]:
     """Write findings, picture and corpus, and return the files of the misses.
 
@@ -46,7 +51,7 @@ def save(
     for miss in found:
         name = f"{miss.proposal.document['id']}_miss{miss.proposal.run:03d}"
         path = corpus / f"{name}.yaml"
-        path.write_text(_as_scenario(name, miss), "utf-8")
+        path.write_text(_as_scenario(name, miss, seed), "utf-8")
         written.append(path)
     if any(_is_in_place(miss) for miss in found):
         normal = _as_yaml(builtin_scenarios()[UNALTERED].document)
@@ -58,14 +63,15 @@ def _is_in_place(finding: Finding) -> bool:
     return Scenario("found", finding.proposal.document, NO_FILE).is_in_place
 
 
-def _as_scenario(name: str, miss: Finding) -> str:
+def _as_scenario(name: str, miss: Finding, seed: int) -> str:
     found = miss.proposal.document
     title = f"Found by a search: {found.get('title', found['id'])}"[:100]
     document = {**found, "id": name, "title": title}
     effects = ", ".join(f"{key} {value:+.3g}" for key, value in miss.effects.items())
     return (
-        f"# Block {miss.proposal.block}: p = {miss.p_value:.3g}, effect {miss.effect:.2g}.\n"
-        f"# Compared with the run without it: {effects}.\n" + _as_yaml(document)
+        f"# Block {miss.proposal.block} of seed {seed}: p = {miss.p_value:.3g}, "
+        f"effect {miss.effect:.2g}.\n# Compared with the run without it: {effects}.\n"
+        f"{_as_yaml(document)}"
     )
 
 

@@ -1,8 +1,8 @@
 """Score the attacks that searches found, again: `make found-attacks`.
 
 Each file in ``examples/found_attacks`` is an attack that the oracle missed when it was found. Here
-each runs in the block that its first line names, and is judged by a card that is learned anew. One
-that is not missed any more moves to ``caught/``, with the revision that caught it.
+each runs in the block and seed that its first line names, and is judged by a card that is learned
+anew. One that is not missed any more moves to ``caught/``, with the revision that caught it.
 """
 
 import argparse
@@ -22,10 +22,10 @@ ROOT = Path(__file__).parents[2]
 FOUND = ROOT / "examples" / "found_attacks"
 CAUGHT = FOUND / "caught"
 NORMALS = 40  # of the card
-SEED = 7  # of the searches that found them; the card's runs have another
+SEED = 7  # of the searches that found those without one; the card's runs have another
 MODE = "lidar_passthrough_odom"
 PLAIN = ("--goals", "1", "--wiring", "absent")  # as in docs/how-to/search.md
-_BLOCK = re.compile(r"# Block (\d+): ")
+_PLACE = re.compile(r"# Block (\d+)(?: of seed (\d+))?: ")
 
 
 def main() -> None:
@@ -52,26 +52,26 @@ def plain_card(out: Path) -> Path:
 
 def scored(card: Path, controls: Path) -> Iterator[tuple[Path, Finding]]:
     """Yield each file with what its attack does and what the oracle says of it."""
-    loop = closed_loop(card, controls)
-    files = [file for file in sorted(FOUND.glob("*.yaml")) if block_of(file) is not None]
-    for number, file in enumerate(progress_bar(files, unit="attack")):
-        block = block_of(file) or 0
+    places = {file: place_of(file) for file in sorted(FOUND.glob("*.yaml"))}
+    found = [(file, place) for file, place in places.items() if place is not None]
+    for number, (file, (seed, block)) in enumerate(progress_bar(found, unit="attack")):
+        loop = closed_loop(card, controls / str(seed), seed)
         loop.run_control(block)
         document = yaml.safe_load(file.read_text("utf-8"))
         yield file, loop.run_trial(Proposal(number, block, document, {}))
 
 
-def closed_loop(card: Path, controls: Path) -> ClosedLoop:
+def closed_loop(card: Path, controls: Path, seed: int) -> ClosedLoop:
     """Return what runs and judges an attack, as the searches did."""
-    campaign = Campaign(seed=SEED, options=Options(wiring="absent"))
+    campaign = Campaign(seed=seed, options=Options(wiring="absent"))
     settings = SearchSettings(str(card), campaign, goals=1, time_limit=60.0, screen=False)
     return settings.closed_loop(controls)
 
 
-def block_of(file: Path) -> int | None:
-    """Return the block of a found attack; None for another file."""
-    named = _BLOCK.match(file.read_text("utf-8"))
-    return int(named[1]) if named else None
+def place_of(file: Path) -> tuple[int, int] | None:
+    """Return seed and block of a found attack; None for another file."""
+    named = _PLACE.match(file.read_text("utf-8"))
+    return (int(named[2] or SEED), int(named[1])) if named else None
 
 
 def move(file: Path, finding: Finding) -> None:

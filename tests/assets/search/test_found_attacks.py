@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 
 from sim.modes import modes
-from tools.scripts.found_attacks import CAUGHT, FOUND, block_of
+from tools.scripts.found_attacks import CAUGHT, FOUND, place_of
 
 
 @pytest.mark.parametrize("folder", [FOUND, CAUGHT])
 def test_found_attacks_alter_topics_in_place_and_name_their_block(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    attacks = {path.stem for path in folder.glob("*.yaml") if block_of(path) is not None}
+    attacks = {path.stem for path in folder.glob("*.yaml") if place_of(path) is not None}
     assert not attacks & set(modes())
     monkeypatch.setenv("ORACLE_SCENARIOS", str(folder))
     monkeypatch.setenv("ORACLE_ALLOW_ACTUATION", "1")

@@ -31,6 +31,7 @@ from sim.fuzzing.compilation import compile_file
 from sim.modes import find_mode, modes
 from sim.pairs import CONTROL
 from tests.recorded_runs import RecordedRuns
+from tools.scripts.found_attacks import place_of
 
 pytestmark = pytest.mark.slow(5)
 
@@ -167,9 +168,10 @@ def test_a_miss_is_a_mode_with_the_found_values_as_defaults(
     study = optuna.create_study()
     study.enqueue_trial({"rate": 0.0125})
     finding = miss(space.suggest(study.ask()))
-    (path,) = save(tmp_path, [finding], [finding], 0.05, tmp_path / "corpus")
+    (path,) = save(tmp_path, [finding], [finding], 0.05, tmp_path / "corpus", 7)
     (program,) = compile_file(path)
     assert program.scenario.id == "range_drift_miss007"
+    assert place_of(path) == (7, 0)
     assert program.parameters["rate"].default == 0.0125
     assert misses([dataclasses.replace(finding, passed=False)]) == []
     monkeypatch.setenv("ORACLE_SCENARIOS", str(path.parent))
@@ -189,7 +191,7 @@ def test_a_found_attack_is_a_row_of_the_evaluation(
     change = {"scale change": 0.4, "scale change < 0": True}
     study.enqueue_trial({**field, **change, "onset_s": 1.0, "lasts_s": 20.0})
     finding = miss(space.suggest(study.ask()))
-    (path,) = save(tmp_path, [finding], [finding], 0.05, tmp_path / "corpus")
+    (path,) = save(tmp_path, [finding], [finding], 0.05, tmp_path / "corpus", 7)
     monkeypatch.setenv("ORACLE_SCENARIOS", str(path.parent))
     assert "composed_miss007" not in modes()  # it moves the robot
     monkeypatch.setenv("ORACLE_ALLOW_ACTUATION", "1")
