@@ -24,7 +24,7 @@ from oracle_pipeline.comparison.measurements import (
 from oracle_pipeline.datasets import SIGNALS
 from oracle_pipeline.features import FeatureManager
 from oracle_pipeline.logs.formats import recordings_below
-from oracle_pipeline.scoring.comparable import lacking_numbers
+from oracle_pipeline.scoring.comparable import given_numbers, lacking_numbers
 from oracle_pipeline.scoring.learning import common_signals, settings_among
 from oracle_pipeline.scoring.reference import Reference, read_reference
 
@@ -278,8 +278,9 @@ def _medians(resamples: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _notes(first: Reference, second: Reference) -> Iterator[str]:
-    for name, one, other in (("A", first, second), ("B", second, first)):
-        for topic, numbers in lacking_numbers(one.table, other.table).items():
+    given = {"A": given_numbers(first.table), "B": given_numbers(second.table)}
+    for name, other in (("A", "B"), ("B", "A")):
+        for topic, numbers in lacking_numbers(given[name], given[other]).items():
             yield f"{name} lacks {numbers} of {topic}, which all of the other set have."
     yield from (*first.notes, *second.notes)
     for name, each in (("A", first), ("B", second)):

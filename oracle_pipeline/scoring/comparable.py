@@ -60,18 +60,26 @@ def shared_features(
     ]
 
 
-def lacking_numbers(row: pd.DataFrame, reference: pd.DataFrame) -> dict[str, str]:
-    """Return the numbers that all runs of a reference have and a recording lacks, by topic.
+def given_numbers(df: pd.DataFrame) -> pd.DataFrame:
+    """Return which numbers of their messages runs have: a column of truth values for each."""
+    columns = [column for column in signal_columns(df) if column.endswith(_PRESENT)]
+    return df[columns].notna().rename(columns=lambda column: column.removesuffix(_PRESENT))
+
+
+def lacking_numbers(own: pd.DataFrame, usual: pd.DataFrame) -> dict[str, str]:
+    """Return the numbers that all usual runs have, and not all others have, by topic.
 
     Topics without any number are left out, and those of which not all numbers were taken.
+
+    Parameters
+    ----------
+    own, usual : DataFrame
+        From `given_numbers`.
     """
-    usual, own = (
-        [c.removesuffix(_PRESENT) for c in signal_columns(df) if c.endswith(_PRESENT) and known[c]]
-        for df, known in ((reference, reference.notna().all()), (row, row.notna().all()))
-    )
+    has, wanted = (set(each.columns[each.all()]) for each in (own, usual))
     lacking: dict[str, list[str]] = {}
-    of_topic = Counter(map(topic_of_signal, own))
-    for number in sorted(set(usual) - set(own)):
+    of_topic = Counter(map(topic_of_signal, has))
+    for number in sorted(wanted - has):
         topic = topic_of_signal(number)
         if 1 < of_topic[topic] < MOST_OF_TOPIC:  # one is the time between messages
             lacking.setdefault(topic, []).append(number.rpartition("/")[2])

@@ -27,7 +27,12 @@ from oracle_pipeline.scoring import isolation
 from oracle_pipeline.scoring.alarms import RATE_PER_H, Alarm, AlarmRule, AlarmWatch
 from oracle_pipeline.scoring.blocks import PER_SEED
 from oracle_pipeline.scoring.card import ReferenceCard
-from oracle_pipeline.scoring.comparable import lacking_numbers, same_recording, shared_features
+from oracle_pipeline.scoring.comparable import (
+    given_numbers,
+    lacking_numbers,
+    same_recording,
+    shared_features,
+)
 from oracle_pipeline.scoring.conformal import adjusted_for_suite, runs_needed
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
@@ -397,7 +402,8 @@ def _lines_of_contract(
     if card.contract is None or seen is None:
         return (), ()
     is_cut = any(note.startswith(CUT) for note in tables.notes)
-    lacking = {} if is_cut else lacking_numbers(tables.run, card.runs)
+    given = given_numbers(tables.run), given_numbers(card.runs)
+    lacking = {} if is_cut else lacking_numbers(*given)
     found = card.contract.breaches(seen, lacking)
     return (
         tuple(each.text for each in found if each.severity == "breach"),

@@ -19,7 +19,12 @@ from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring import run_scorer
 from oracle_pipeline.scoring.card import ReferenceCard, is_card
-from oracle_pipeline.scoring.comparable import lacking_numbers, same_kind, shared_features
+from oracle_pipeline.scoring.comparable import (
+    given_numbers,
+    lacking_numbers,
+    same_kind,
+    shared_features,
+)
 from oracle_pipeline.scoring.contract import Contract, Observation
 from oracle_pipeline.scoring.cross_conformal import SEED, CrossConformalScorer
 from oracle_pipeline.scoring.feature_sets import ASPECTS, feature_sets
@@ -95,11 +100,13 @@ def _broken_terms(
 ) -> list[set[str]]:
     """Return the terms that each recording breaks of the contract that the other folds teach."""
     broken: list[set[str]] = [set() for _ in observations]
+    given = given_numbers(table)
     for fold in np.unique(folds):
-        others = table[folds != fold]
+        others = given[folds != fold]
+        others = others.loc[:, others.all()].iloc[:1]  # what all of them have
         contract = Contract.learned(list(itertools.compress(observations, folds != fold)))
         for n in np.flatnonzero(folds == fold).tolist():
-            lacking = lacking_numbers(table.iloc[[n]], others)
+            lacking = lacking_numbers(given.iloc[[n]], others)
             broken[n] = contract.broken_terms(observations[n], lacking)
     return broken
 
