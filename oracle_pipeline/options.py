@@ -31,10 +31,9 @@ class _Recording(click.Path):
 
 
 def _each_recording(_: Any, __: Any, paths: tuple[Path, ...]) -> tuple[Path, ...]:
-    """Return the recordings that paths are or hold; what holds none stays, to be refused."""
-    from oracle_pipeline.logs.formats import recordings_below
+    from oracle_pipeline.logs.formats import recordings_at
 
-    return tuple(each for path in paths for each in list(recordings_below(path)) or [path])
+    return tuple(recordings_at(paths))
 
 
 recordings_argument = click.argument(

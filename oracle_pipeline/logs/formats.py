@@ -2,7 +2,7 @@
 
 import importlib
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -52,6 +52,11 @@ def recordings_below(folder: Path) -> Iterator[Path]:
         for entry in sorted(folder.iterdir()):
             if not entry.name.startswith("."):
                 yield from recordings_below(entry)
+
+
+def recordings_at(paths: Iterable[Path]) -> list[Path]:
+    """Return the recordings that paths are or hold; what holds none stays, to be refused."""
+    return [each for path in paths for each in list(recordings_below(path)) or [path]]
 
 
 def read_log(path: Path) -> Log:

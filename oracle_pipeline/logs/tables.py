@@ -286,7 +286,8 @@ def _columns(
             notes.append(f"{name} looks like a label and is not used.")
             continue
         values = _numbers(frame[name])
-        if values is not None and _COUNTERS.fullmatch(name) and (np.diff(values) == 1).all():
+        counts = not about.columns and _COUNTERS.fullmatch(name)
+        if values is not None and counts and (np.diff(values) == 1).all():
             unused.append(name)
         elif values is not None:
             scale = factor(about.units[field]) if about.msgtype and field in about.units else 1.0

@@ -1,7 +1,7 @@
 """Collects the recordings below some folders: labels from manifests, signals from bags."""
 
-import multiprocessing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TypeAlias
@@ -20,7 +20,7 @@ from oracle_pipeline.oracles.kind import RELATION, SAME, KindError, TracedRuns
 from oracle_pipeline.oracles.traces import NO_NUMBERS, all_numbers, read_trace
 from oracle_pipeline.robots.robot import find_robots, of_robot
 from oracle_pipeline.robots.roles import COMMAND, ODOMETRY
-from oracle_pipeline.scoring.isolation import WIDE_LIMITS, Job, isolated_each
+from oracle_pipeline.scoring.isolation import WIDE_LIMITS, isolated_each, run_isolated
 
 _Traced: TypeAlias = tuple[dict[str, object], pd.DataFrame]
 
@@ -60,8 +60,9 @@ def traced_runs(
     rows: list[dict[str, object]] = []
     traces: list[pd.DataFrame] = []
     errors: list[str] = []
-    work = {label: partial(_traced, label=label, numbers=dict(numbers)) for label in found.values()}
-    answers = _each([(work[label], path) for path, label in found.items()])
+    work = partial(_traced, numbers=dict(numbers))
+    jobs = [(partial(work, label=label), path) for path, label in found.items()]
+    answers = isolated_each(jobs, WIDE_LIMITS)
     for answer in progress_bar(answers, unit="recording", total=len(found), desc="signals"):
         if isinstance(answer, OracleError):
             errors.append(str(answer))
@@ -86,26 +87,21 @@ def traced_runs(
 
 
 def numbers_to_learn(recordings: Sequence[Path]) -> dict[str, str]:
-    """Return all numbers of the first recording, if its robot has no odometry and no commands."""
+    """Return all numbers of the first recording, if its robot has no odometry and no commands.
+
+    A recording that cannot be read has none; `traced_runs` names it with all others.
+    """
     first = next((each for top in recordings for each in recordings_below(top)), None)
-    if first is None:
-        return {}
-    with open_run(first) as opened:
+    with suppress(OracleError):
+        return run_isolated(_numbers_of, first, WIDE_LIMITS) if first else {}
+    return {}
+
+
+def _numbers_of(path: Path) -> dict[str, str]:
+    with open_run(path) as opened:
         robot = find_robots(opened.bag)[0]
         drives = any(robot.roles.found[role].topics for role in (ODOMETRY, COMMAND))
         return {} if drives else all_numbers(robot)
-
-
-def _each(jobs: Sequence[Job[list[_Traced]]]) -> Iterator[list[_Traced] | OracleError]:
-    """Yield what each job returns or raises: computed in other processes, if this may start any."""
-    if not multiprocessing.current_process().daemon:
-        yield from isolated_each(jobs, WIDE_LIMITS)
-        return
-    for work, path in jobs:
-        try:
-            yield work(path)
-        except (OracleError, OSError) as error:
-            yield KindError(str(error))
 
 
 def _traced(path: Path, label: str, numbers: Mapping[str, str]) -> list[_Traced]:

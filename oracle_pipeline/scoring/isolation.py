@@ -204,7 +204,13 @@ def run_isolated(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT
 def isolated_each(
     jobs: Sequence[Job[T]], limits: Limits = DEFAULT_LIMITS
 ) -> Iterator[T | OracleError]:
-    """Yield what `run_isolated` returns or raises for each job in turn, a few at once."""
+    """Yield what `run_isolated` returns or raises for each job in turn, a few at once.
+
+    A daemonic process may start no others, so it does the jobs itself, without limits.
+    """
+    if multiprocessing.current_process().daemon:
+        yield from (_answer(work, path, limits) for work, path in jobs)
+        return
     at_once = min(os.cpu_count() or 1, MOST_AT_ONCE)
     waiting, running, done = enumerate(jobs), dict[int, _Reader](), dict[int, T | OracleError]()
     idle: list[_Reader] = []
@@ -282,6 +288,10 @@ def _within(work: Callable[[Path], object], path: Path, limits: Limits) -> objec
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     size = _memory() + int(limits.gibibytes * _GIB)
     resource.setrlimit(resource.RLIMIT_DATA, (size, hard))
+    return _answer(work, path, limits)
+
+
+def _answer(work: Callable[[Path], Any], path: Path, limits: Limits) -> Any:
     try:
         return work(path)
     except MemoryError:

@@ -20,7 +20,7 @@ from oracle_pipeline.datasets import MISSING
 from oracle_pipeline.detectors import SignalScaler, by_family, explain
 from oracle_pipeline.features import FeatureManager, FeatureTables
 from oracle_pipeline.features.signals.collector import CUT
-from oracle_pipeline.logs.formats import recordings_below
+from oracle_pipeline.logs.formats import recordings_at
 from oracle_pipeline.robots.known import Known
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring import isolation
@@ -130,7 +130,7 @@ def score(
     if choices is None and reference.roles is not None:
         choices = reference.roles if known is None else replace(reference.roles, topics={})
     reading = isolation.Reading(strict, choices, known, check=check)
-    paths = [each for path in recordings for each in list(recordings_below(path)) or [path]]
+    paths = recordings_at(recordings)
     verdicts: list[Verdict] = []
     for path, robots in isolation.extract_each(paths, manager, limits, reading):
         if isinstance(robots, Exception):
@@ -287,7 +287,8 @@ def _without_evidence(
     that was not fitted on the block, and the block has no vote. So a run of a campaign gets the
     same verdict as in the evaluation.
     """
-    found = [_compared(each, card) for each in recordings]
+    usual = given_numbers(card.runs)
+    found = [_compared(each, card, usual) for each in recordings]
     alike = [n for n, (verdict, _) in enumerate(found) if verdict.outcome != "another system"]
     if not alike:
         return found
@@ -313,7 +314,9 @@ def _without_evidence(
     return found
 
 
-def _compared(recording: Recording, card: ReferenceCard) -> tuple[Verdict, FeatureTables]:
+def _compared(
+    recording: Recording, card: ReferenceCard, usual: pd.DataFrame
+) -> tuple[Verdict, FeatureTables]:
     """Return what is known without statistics, and the features that can be compared."""
     name, tables, seen = recording
     cautions = _moved(seen, card.known)
@@ -326,7 +329,7 @@ def _compared(recording: Recording, card: ReferenceCard) -> tuple[Verdict, Featu
             return unlike, tables
         if any(t.always and name not in seen.topics for name, t in card.contract.topics.items()):
             tables = _without_rates(tables)
-    breaches, notes = _lines_of_contract(card, seen, tables)
+    breaches, notes = _lines_of_contract(card, seen, tables, usual)
     tables, of_length = comparable_tables(tables, card.scorer.lengths)
     verdict = Verdict(
         name,
@@ -396,14 +399,13 @@ def _alarms(
 
 
 def _lines_of_contract(
-    card: ReferenceCard, seen: Observation | None, tables: FeatureTables
+    card: ReferenceCard, seen: Observation | None, tables: FeatureTables, usual: pd.DataFrame
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the breaches of the contract, and the notes on it."""
     if card.contract is None or seen is None:
         return (), ()
     is_cut = any(note.startswith(CUT) for note in tables.notes)
-    given = given_numbers(tables.run), given_numbers(card.runs)
-    lacking = {} if is_cut else lacking_numbers(*given)
+    lacking = {} if is_cut else lacking_numbers(given_numbers(tables.run), usual)
     found = card.contract.breaches(seen, lacking)
     return (
         tuple(each.text for each in found if each.severity == "breach"),

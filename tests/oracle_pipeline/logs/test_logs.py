@@ -290,6 +290,14 @@ def test_a_table_is_read_the_same_however_a_program_writes_it(text, encoding, tm
     np.testing.assert_allclose(topic.times_ns - topic.times_ns[0], TABLE["time"] * 1e9, atol=2e3)
 
 
+def test_a_column_that_counts_rows_is_a_signal_only_if_the_layout_names_it(tmp_path):
+    table = pd.DataFrame({"time": np.arange(9) * 0.1, "frame": np.arange(9), "x": 1.5})
+    table.to_csv(tmp_path / "t.csv", index=False)
+    assert list(read_tables(tmp_path / "t.csv").topics[0].columns) == ["x"]
+    (tmp_path / LAYOUT_FILE).write_text("topics: [{file: t.csv, fields: {n: frame}}]")
+    assert list(read_tables(tmp_path / "t.csv").topics[0].columns) == ["n"]
+
+
 @pytest.mark.parametrize("name", ["stamp", None])
 def test_the_time_may_be_the_index_of_a_table(name, tmp_path):
     DATED.set_index("time").rename_axis(name).to_parquet(tmp_path / "t.parquet")

@@ -320,3 +320,8 @@ def test_all_recordings_that_cannot_be_read_are_named_at_once(tmp_path):
         (tmp_path / name).write_bytes(b"no recording")
     with pytest.raises(KindError, match=r"(?s)second\.mcap is not.*first\.mcap is not"):
         traced_runs([tmp_path / "first.mcap"], [tmp_path / "second.mcap"])
+    for command in (["kinds", str(tmp_path)], ["invariants", str(tmp_path), "--output", "no.yaml"]):
+        done = CliRunner().invoke(main, command)
+        assert [line.partition(" is not")[0] for line in done.stderr.splitlines()][-2:] == [
+            f"Error: {tmp_path / 'first.mcap'}", f"{tmp_path / 'second.mcap'}"
+        ]  # fmt: skip
