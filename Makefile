@@ -56,8 +56,8 @@ $(VENV)/.ready-dev: pyproject.toml constraints.txt | $(BIN)/python
 	$(INSTALL) '.[dask,dev,dg,docs,kubernetes,live,logs,mcp,postgres,s3,search,zenoh]'
 	@touch $(VENV)/.ready $@
 
-demo: setup ## Record a normal and an attacked run, and judge both by the shipped reference card
-	python tools/scripts/demo.py
+demo: $(VENV)/.ready ## Record a normal and an attacked run, and judge both by the shipped reference card
+	python -m tools.scripts.demo
 
 # The card holds the features of 40 runs, each of another block: verdicts at 5 % take 19.
 demo-card: setup ## Learn the demo's reference card again, after a change of simulation or features

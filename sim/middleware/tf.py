@@ -139,7 +139,7 @@ def _add(
     count: int = link[_COUNT] + 1
     index = count - 1
     while index > 0 and times[index - 1] > time_ns:
-        times[index], poses[index] = times[index - 1], poses[index - 1]
+        _copy(times, poses, index - 1, index)
         index -= 1
     times[index] = time_ns
     poses[index, 0], poses[index, 1], poses[index, 2] = x, y, yaw
@@ -152,9 +152,17 @@ def _add(
     if first > 0:
         count -= first
         for i in range(count):
-            times[i], poses[i] = times[first + i], poses[first + i]
+            _copy(times, poses, first + i, i)
     link[_COUNT] = count
     return count
+
+
+@jit
+def _copy(times: Ints, poses: Floats, source: int, target: int) -> None:
+    """Copy a sample, number by number: rows take numba some seconds more to compile."""
+    times[target] = times[source]
+    for axis in range(3):
+        poses[target, axis] = poses[source, axis]
 
 
 @jit

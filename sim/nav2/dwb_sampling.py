@@ -153,7 +153,7 @@ def roll(start: Start, twist: tuple[float, float], rollout: Poses) -> int:
             heading_y * turn_x + heading_x * turn_y,
         )
         rollout[i, 0], rollout[i, 1], rollout[i, 2] = x, y, yaw
-    rollout[steps + 1] = rollout[steps]
+    rollout[steps + 1, 0], rollout[steps + 1, 1], rollout[steps + 1, 2] = x, y, yaw
     return steps + 2
 
 

@@ -69,11 +69,10 @@ def _inflate(costs: Costs, by_square: Costs, reach: int) -> None:
     height, width = costs.shape
     squares, is_near = _within_columns(costs, reach)
     size = squares.shape[1] - 2 * reach
-    nearest = np.empty(size, np.int16)
     for row in range(height):
         if not is_near[row]:
             continue
-        nearest[:] = squares[row, reach : reach + size]
+        nearest = squares[row, reach : reach + size].copy()
         for offset in range(1, reach + 1):
             square = np.int16(offset**2)
             left = squares[row, reach - offset : reach - offset + size]

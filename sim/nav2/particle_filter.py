@@ -101,7 +101,7 @@ class ParticleFilter:
         cumulative = np.cumsum(self.weights)
         draws = self._rng.random(MAX_PARTICLES) * cumulative[-1]
         _, first, bin_of = _occupied_bins(self.poses)
-        self.poses = _drawn(self.poses, cumulative, draws, bin_of, len(first))
+        self.poses = self.poses[_drawn(cumulative, draws, bin_of, len(first))]
         self.weights = np.full(len(self.poses), 1.0 / len(self.poses))
 
     def estimate(self) -> tuple[Pose2D, Floats]:
@@ -123,14 +123,14 @@ class ParticleFilter:
 
 
 @jit
-def _drawn(poses: Floats, cumulative: Floats, draws: Floats, bin_of: Ints, bins: int) -> Floats:
-    """Return the poses that draws fall on: as many as their occupied bins need, shape (n, 3)."""
-    drawn = np.empty((len(draws), 3))
+def _drawn(cumulative: Floats, draws: Floats, bin_of: Ints, bins: int) -> Ints:
+    """Return the particles that draws fall on: as many as their occupied bins need."""
+    drawn = np.empty(len(draws), np.int64)
     is_occupied, occupied, count = np.zeros(bins, np.bool_), 0, 0
     while count < _LIMITS[occupied]:
         chosen = np.searchsorted(cumulative, draws[count], side="right")
-        chosen = min(chosen, len(poses) - 1)
-        drawn[count] = poses[chosen]
+        chosen = min(chosen, len(cumulative) - 1)
+        drawn[count] = chosen
         occupied += not is_occupied[bin_of[chosen]]
         is_occupied[bin_of[chosen]] = True
         count += 1

@@ -77,8 +77,9 @@ def _through_quaternions(poses: Poses) -> Poses:
 
 def path_bytes(time_ns: int, frame: str, poses: Poses) -> bytes:
     """Return the bytes of ``serialize(path_message(...))``, in less time."""
-    words: NDArray[np.uint32] = _path_words(*divmod(time_ns, 1_000_000_000), _header(frame), poses)
-    return words.tobytes()
+    stamped = _header(frame).copy()
+    stamped[:2] = divmod(time_ns, 1_000_000_000)
+    return _path_words(stamped, poses).tobytes()
 
 
 @functools.cache
@@ -96,23 +97,19 @@ _ENCAPSULATION = np.frombuffer(ENCAPSULATION, np.uint32)
 
 
 @jit
-def _path_words(
-    seconds: int, nanoseconds: int, header: NDArray[np.uint32], poses: Poses
-) -> NDArray[np.uint32]:
+def _path_words(header: NDArray[np.uint32], poses: Poses) -> NDArray[np.uint32]:
     """Return the message with its encapsulation; every pose carries the path's header."""
     begin = 2  # after the encapsulation, where doubles are aligned
     words = np.zeros(begin + len(header) + 2 + len(poses) * (len(header) + 15), np.uint32)
     doubles = words[: len(words) // 2 * 2].view(np.float64)
     words[begin - 1] = _ENCAPSULATION[0]
     at = begin + len(header)
-    words[begin:at] = header
-    words[begin], words[begin + 1] = seconds, nanoseconds
+    _copy(header, words, begin)
     words[at] = len(poses)
     at += 1
     yaw = z = w = 0.0
     for i in range(len(poses)):
-        words[at + 2 : at + len(header)] = header[2:]
-        words[at], words[at + 1] = seconds, nanoseconds
+        _copy(header, words, at)
         at += len(header)
         at += at % 2
         double = at // 2
@@ -124,6 +121,13 @@ def _path_words(
         doubles[double + 5], doubles[double + 6] = z, w
         at += 14
     return words[begin - 1 : at]
+
+
+@jit
+def _copy(header: NDArray[np.uint32], words: NDArray[np.uint32], at: int) -> None:
+    """Copy word by word: to assign a slice takes numba some seconds more to compile."""
+    for i in range(len(header)):
+        words[at + i] = header[i]
 
 
 def length_ahead(poses: Poses, x: float, y: float) -> float:

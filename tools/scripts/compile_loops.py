@@ -2,11 +2,9 @@
 
 numba keeps machine code beside the sources, for each function and each type of its arguments. What
 types there are, only calls show: so this does what a campaign does, once and small, with a process
-for each part. The features are those of a short recording that comes with the project. Python keeps
-the bytecode of what this imports: all that a campaign does, Dagster's commands included.
+for each part. The features are those of a short recording that comes with the project.
 """
 
-import importlib
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -19,17 +17,13 @@ from sim.experiments import recipe_for, record_run
 
 MODE = "fake_object"
 SHORT = Path(__file__).parents[2] / "examples" / "demo" / "short"
-COMMANDS = (
-    "oracle_pipeline.scoring.judging", "oracle_pipeline.reporting.verdict_page",
-    "oracle_pipeline.definitions", "dagster._cli", "dagster_webserver.cli",
-)  # fmt: skip
 
 
 def main() -> None:
-    """Record a short run, extract features, and import Dagster, all at once."""
+    """Record a short run and extract features, both at once."""
     print("Compiling simulator and features (about half a minute, once) ...", flush=True)
     with ProcessPoolExecutor() as pool:
-        for done in [pool.submit(part) for part in (simulate, measure, import_commands)]:
+        for done in [pool.submit(part) for part in (simulate, measure)]:
             done.result()
 
 
@@ -44,12 +38,6 @@ def measure() -> None:
     """Extract the features of the short recording."""
     with open_run(SHORT) as run:
         extract(run, build_manager(None))
-
-
-def import_commands() -> None:
-    """Import what the commands of Dagster do."""
-    for module in COMMANDS:
-        importlib.import_module(module)
 
 
 if __name__ == "__main__":

@@ -77,7 +77,7 @@ def _hits(points: Points, chosen: Bools, first: int) -> Ints:
         own = np.sort(cells[:count])
         for k in range(count):
             if k == 0 or own[k] != own[k - 1]:
-                found[number] = first + i, own[k]
+                found[number, 0], found[number, 1] = first + i, own[k]
                 number += 1
     return found[:number].copy()
 

@@ -110,7 +110,7 @@ def _match_all(
     before: Floats, now: Floats, before_start: Floats, now_start: Floats, increment: Floats
 ) -> Floats:
     moved = np.full((len(now), 3), np.nan)
-    rays_before, rays_now = _directions(0, 1, 0.0, 0.0), _directions(0, 1, 0.0, 0.0)
+    rays_before = rays_now = np.empty(0), np.empty(0)
     stride = max(1, now.shape[1] // _SAMPLE)
     for k in range(len(now)):
         if math.isnan(increment[k]):
@@ -122,7 +122,8 @@ def _match_all(
         surfaces = _surfaces(before[k], *rays_before, increment[k])
         ends = now[k, ::stride] * rays_now[0], now[k, ::stride] * rays_now[1]
         guess = _turn(before[k], now[k], increment[k])
-        moved[k] = _match(surfaces, ends, before_start[k], increment[k], guess)
+        x, y, yaw = _match(surfaces, ends, before_start[k], increment[k], guess)
+        moved[k, 0], moved[k, 1], moved[k, 2] = x, y, yaw
     return moved
 
 
@@ -172,7 +173,7 @@ def _match(
     start: float,
     increment: float,
     guess: float,
-) -> Floats:
+) -> tuple[float, float, float]:
     """Return x, y [m] and yaw [rad] of the later scan's sensor in the earlier one's frame.
 
     Parameters
@@ -186,11 +187,10 @@ def _match(
     guess : float
         The turn to begin with [rad].
     """
-    nowhere = np.full(3, np.nan)
+    nowhere = math.nan, math.nan, math.nan
     (qx, qy, nx, ny), (ends_x, ends_y) = surfaces, ends
     circle = max(1, round(2.0 * math.pi / abs(increment)))
     x, y, yaw = 0.0, 0.0, guess
-    moved_x, moved_y = np.empty_like(ends_x), np.empty_like(ends_y)
     own = np.empty(len(ends_x), np.int64)
     for iteration in range(_ITERATIONS):
         gate = 0.3 if iteration < 3 else 0.12
@@ -199,8 +199,7 @@ def _match(
         vx = vy = vt = 0.0
         c, s = math.cos(yaw), math.sin(yaw)
         met, valid = 0, 0
-        moved_x[:] = c * ends_x - s * ends_y + x
-        moved_y[:] = s * ends_x + c * ends_y + y
+        moved_x, moved_y = c * ends_x - s * ends_y + x, s * ends_x + c * ends_y + y
         rays(moved_x, moved_y, start, increment, own)
         for j in range(len(ends_x)):
             if not math.isfinite(ends_x[j]):
@@ -247,7 +246,7 @@ def _match(
         x, y, yaw = x + ahead_x, y + ahead_y, yaw + turned
         if max(abs(ahead_x), abs(ahead_y), abs(turned)) < _SETTLED:
             break
-    return np.array([x, y, yaw])
+    return x, y, yaw
 
 
 @jit

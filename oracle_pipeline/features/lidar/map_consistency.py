@@ -100,11 +100,9 @@ def _march(start: Points, step: Points, clearance: NDArray[np.float32], solid: B
     reached = np.full(start.shape, np.nan)
     rows, columns = clearance.shape
     rays = start.shape[1]
-    x, y, gone = np.empty(rays), np.empty(rays), np.empty(rays)
-    going = np.empty(rays, np.int64)
     for i in range(start.shape[0]):
-        x[:], y[:], gone[:], going[:] = start[i].real, start[i].imag, 0.0, np.arange(rays)
-        count = rays
+        x, y, gone = start[i].real.copy(), start[i].imag.copy(), np.zeros(rays)
+        going, count = np.arange(rays), rays
         while count:
             still = 0
             for j in going[:count]:

@@ -280,7 +280,7 @@ def _compact(ranges: Floats, closed: bool) -> Ints:
         in_front = ranges[(start - 1) % size] > ranges[start % size] + CLOSER_M
         in_front = in_front and now > before + CLOSER_M
         if start >= 0 and in_front and fewest <= i - start <= most:
-            found[count] = start, i
+            found[count, 0], found[count, 1] = start, i
             count += 1
         if i >= size:
             break

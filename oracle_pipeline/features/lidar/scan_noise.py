@@ -136,7 +136,7 @@ def _in_stretches(flags: NDArray[np.bool_], shortest: int) -> int:
 def _uneven(ranges: Floats) -> Floats:
     shares = np.empty((len(ranges), 3))
     for i in range(len(ranges)):
-        shares[i] = uneven(ranges[i])
+        shares[i, 0], shares[i, 1], shares[i, 2] = uneven(ranges[i])
     return shares
 
 
