@@ -4,6 +4,7 @@ import codecs
 import re
 import warnings
 from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +34,14 @@ _LIKE_TIMES = re.compile(r"time|stamp|epoch|clock", re.IGNORECASE)  # if they ne
 _UNIT = re.compile(
     r"(?:[_ .\[(]|time|stamp|^t)([mun]?s)(?:ec(?:ond)?s?)?[\])]*$", re.IGNORECASE
 )  # of a time, at the end of its name
+_ECHOED = re.compile(r"field\.")
 _COUNTERS = re.compile(r"unnamed: 0|index|idx|row|seq|frame|sample|id", re.IGNORECASE)
 _ABOVE = re.compile(r"#|sep=|\s*$")  # begins lines above the names of columns
 _SHARED = 0.5  # least share of columns that recordings have in common; topics have the time
 _COMMA = re.compile(r'(?:^|[;\t ])"?-?\d+,\d+(?:e[+-]?\d+)?"?(?=[;\t ]|$)', re.I | re.M)
 _NUMBERS = re.compile(r"[\[(]?\s*-?[\d.].*[\d.]\s*[\])]?")
 _STEPS = (("ns", 2e6), ("us", 2e3), ("ms", 2.0))  # a robot logs more than a row in two seconds
+_FRAMES = {"header.frame_id", "child_frame_id"}  # names, though they may be numbers or blank
 _LABELS = {"label", "labels", "class", "target", "anomaly", "is_anomaly"}  # answers, not signals
 _MOSTLY = 0.9  # of the cells of a column must be numbers, or it counts as text
 
@@ -84,10 +87,15 @@ def read_tables(path: Path, layout: Layout | None = None) -> Log:
     log = Log([])
     if path.is_dir() and not layout.recording:
         log.notes.append("Its tables are taken as the topics of one recording.")
-    for file in tables_in(path) if path.is_dir() else [path]:
-        topic, notes = _topic(file, layout.of_file(file.name), named=path.is_dir())
+    files: dict[str, list[str]] = {}  # by note
+    for file, name in _topics(path).items():
+        topic, _, notes = _topic(file, layout.of_file(file.name), name)
         log.topics.append(topic)
-        log.notes += [f"{file.name}: {note}" for note in notes] if path.is_dir() else notes
+        for note in notes:
+            files.setdefault(note, []).append(file.name)
+    for note, noted in files.items():
+        where = f"{noted[0]}: " if len(noted) == 1 else f"{len(noted)} tables: "
+        log.notes.append(f"{where if path.is_dir() else ''}{note}")
     names = [topic.name for topic in log.topics]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise LogError(f"{path} has several files for {twice[0]}; name one topic for each file.")
@@ -96,19 +104,14 @@ def read_tables(path: Path, layout: Layout | None = None) -> Log:
 
 def guess_layout(path: Path) -> Layout:
     """Return the layout that is used without a layout file, to be written and corrected."""
-    tables = tables_in(path) if path.is_dir() else [path]
-    notes: list[str] = []
-    topics = []
-    for file in tables:
-        frame = _read(file)
-        about = _with_time(file, frame, TopicLayout(file.name), notes)
-        columns, _ = _columns(file, frame, about, notes)
-        name = _name(file) if path.is_dir() else "/log"
-        topics.append(replace(about, topic=name, msgtype=guessed_type(columns)))
-    return Layout("folder" if path.is_dir() else "file", tuple(topics))
+    layouts = [
+        _topic(file, TopicLayout(file.name), name)[1] for file, name in _topics(path).items()
+    ]
+    return Layout("folder" if path.is_dir() else "file", tuple(layouts))
 
 
-def _topic(file: Path, about: TopicLayout, *, named: bool) -> tuple[LogTopic, list[str]]:
+def _topic(file: Path, about: TopicLayout, name: str) -> tuple[LogTopic, TopicLayout, list[str]]:
+    """Return the messages of a table, how it was read, and remarks."""
     notes: list[str] = []
     frame = _read(file)
     about = _with_time(file, frame, about, notes)
@@ -117,8 +120,7 @@ def _topic(file: Path, about: TopicLayout, *, named: bool) -> tuple[LogTopic, li
     msgtype = about.msgtype or ("" if about.columns else guessed_type(columns))
     if msgtype and not about.msgtype:
         notes.append(f"It is read as {msgtype}, whose fields its columns are.")
-    if msgtype:
-        columns = _of_type(columns)
+    columns = _of_type(columns, msgtype)
     if not columns:
         raise LogError(f"{file} has no column of numbers beside the time.")
     kept = ~pd.isna(times_ns)
@@ -127,12 +129,15 @@ def _topic(file: Path, about: TopicLayout, *, named: bool) -> tuple[LogTopic, li
     kept_columns = {name: values[kept] for name, values in columns.items()}
     units = {} if msgtype else about.units
     stamps = times_ns[kept].astype(np.int64)
-    name = about.topic or (_name(file) if named else "/log")
-    return LogTopic(name, stamps, kept_columns, msgtype, texts if msgtype else {}, units), notes
+    about = replace(about, topic=about.topic or name, msgtype=msgtype)
+    texts = texts if msgtype else {}
+    return LogTopic(about.topic, stamps, kept_columns, msgtype, texts, units), about, notes
 
 
-def _of_type(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def _of_type(columns: dict[str, NDArray[Any]], msgtype: str) -> dict[str, NDArray[Any]]:
     """Return the columns with the names of ROS 2: those of ROS 1's stamps differ."""
+    if not msgtype:  # one is made for them, without a header
+        return {name: each for name, each in columns.items() if not name.startswith("header.")}
     stamp = "header.stamp"
     renamed = {f"{stamp}.secs": f"{stamp}.sec", f"{stamp}.nsecs": f"{stamp}.nanosec"}
     return {
@@ -140,8 +145,21 @@ def _of_type(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     }
 
 
-def _name(file: Path) -> str:
-    return "/" + re.sub(r"[^A-Za-z0-9]+", "_", file.stem).strip("_")
+def _topics(path: Path) -> dict[Path, str]:
+    """Return the topic of each table of a recording, without the name of the recording.
+
+    All tables of a folder begin with that name, if they do with a number, or the folder's name.
+    """
+    if not path.is_dir():
+        return {path: "/log"}
+    tables = tables_in(path)
+    parts = (re.split(r"(?<=[^A-Za-z0-9])", table.stem) for table in tables)
+    same = takewhile(lambda each: len(set(each)) == 1, zip(*parts, strict=False))
+    shared = "".join(each[0] for each in same) if len(tables) > 1 else ""
+    if not re.search(r"\d", shared) and path.name not in shared:
+        shared = ""
+    names = (re.sub(r"[^A-Za-z0-9]+", "_", table.stem[len(shared) :]) for table in tables)
+    return {table: "/" + name.strip("_") for table, name in zip(tables, names, strict=True)}
 
 
 def _header(file: Path) -> tuple[str, ...]:
@@ -166,7 +184,20 @@ def _read(file: Path) -> pd.DataFrame:
         if names.keys() >= {"date", "time"} and frame[names["date"]].dtype.kind not in "biufM":
             time = frame[names["time"]].astype(str)
             frame[names["time"]] = frame.pop(names["date"]).str.cat(time, sep=" ")
-        return frame
+        return _of_echo(frame) if all(map(_ECHOED.match, frame.columns[1:])) else frame
+
+
+def _of_echo(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return what ``rostopic echo -p`` wrote with the names of fields; its stamps are in ns."""
+    frame = frame.rename(
+        columns=lambda name: (
+            re.sub(r"(?<=\D)(\d+)$", r"_\1", name[len("field.") :]) if _ECHOED.match(name) else name
+        )
+    )
+    if "header.stamp" in frame:
+        seconds, rest = frame.pop("header.stamp").divmod(10**9)
+        frame["header.stamp.secs"], frame["header.stamp.nsecs"] = seconds, rest
+    return frame
 
 
 def _dialect(file: Path) -> dict[str, Any]:
@@ -203,8 +234,9 @@ def _with_time(
     column = about.time_column
     if not column:
         named = list(filter(_TIMES.fullmatch, frame.columns))
-        like = (name for name in frame.columns if _LIKE_TIMES.search(name))
-        column = [*named, *(name for name in like if _rises(frame[name])), ""][0]
+        like = [name for name in frame.columns if _LIKE_TIMES.search(name)]
+        rising = [c for c in like if frame[c].is_monotonic_increasing and frame[c].nunique() > 1]
+        column = [*named, *rising, ""][0]
     if column not in frame.columns:
         raise LogError(
             f"{file} has no column {column}." if column else
@@ -219,10 +251,6 @@ def _with_time(
         unit = _guessed_unit(column, numbers.ravel().astype(np.float64))
         notes.append(f"{column} is taken as the time in {unit}.")
     return replace(about, time_column=column, time_unit=unit)
-
-
-def _rises(column: pd.Series) -> bool:
-    return column.is_monotonic_increasing and column.nunique() > 1
 
 
 def _guessed_unit(column: str, values: NDArray[np.float64]) -> str:
@@ -285,7 +313,7 @@ def _columns(
         if field.lower() in _LABELS:
             notes.append(f"{name} looks like a label and is not used.")
             continue
-        values = _numbers(frame[name])
+        values = None if field in _FRAMES else _numbers(frame[name])
         counts = not about.columns and _COUNTERS.fullmatch(name)
         if values is not None and counts and (np.diff(values) == 1).all():
             unused.append(name)
@@ -294,7 +322,7 @@ def _columns(
             columns[field] = values * scale if scale != 1.0 else values
         elif frame[name].nunique() == 1:
             texts[field] = str(frame[name].iloc[0])
-        else:
+        elif field not in _FRAMES:
             unused.append(name)
     if unused:
         notes.append(f"Not used, as text or numbers of rows: {', '.join(unused[:8])}.")

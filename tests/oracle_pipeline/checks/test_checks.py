@@ -150,6 +150,15 @@ def test_a_last_message_without_numbers_is_no_fault(tmp_path):
     assert check_recording(drive(tmp_path, end)) == []
 
 
+@pytest.mark.parametrize(("table", "checks"), [("status", set()), ("imu", {"not_finite"})])
+def test_blank_cells_at_the_end_are_a_fault_of_ros_messages_only(table, checks, tmp_path):
+    def end(tables: Tables) -> None:
+        column = {"status": "load", "imu": "linear_acceleration.x"}[table]
+        tables[table].loc[tables[table].index[-5:], column] = np.nan
+
+    assert {fault.check for fault in check_recording(drive(tmp_path, end))} == checks
+
+
 def test_gap_in_all_topics_is_one_fault_of_the_recording(tmp_path):
     def stop_recorder(tables: Tables) -> None:
         for number in range(9):

@@ -148,6 +148,31 @@ def test_exported_topics_get_their_types_back(tmp_path):
     assert first.pose.covariance.shape == (36,)
 
 
+@pytest.mark.parametrize("name", ["flight_2018-07-18_1_failure", "drive"])
+def test_what_rostopic_echo_wrote_is_the_same_drive(name, tmp_path):
+    drive = exported_drive(tmp_path / "exported")
+    echoed = tmp_path / name
+    echoed.mkdir()
+    for table in drive.glob("*.csv"):
+        frame = pd.read_csv(table)
+        frame.insert(0, "%time", (frame.pop("Time") * 1e9).round().astype("int64") + 10**18)
+        if "pose.covariance" in frame:
+            frame = frame.drop(columns="pose.covariance").assign(
+                **{f"pose.covariance{n}": 0.0 for n in range(36)},
+                **{"header.stamp": frame["%time"]}, child_frame_id=""
+            )  # fmt: skip
+        frame = frame.rename(columns=lambda each: each if each == "%time" else f"field.{each}")
+        frame.to_csv(echoed / f"{name}-{table.name}", index=False)
+    expected, found = read_tables(drive), read_tables(echoed)
+    for one, other in zip(expected.topics, found.topics, strict=True):
+        assert (one.name, one.msgtype) == (other.name, other.msgtype)
+        np.testing.assert_allclose(other.times_ns - 10**18, one.times_ns)
+        for field, values in one.columns.items():
+            np.testing.assert_array_equal(other.columns[field], values)
+    stamped = next(topic for topic in found.topics if topic.name == "/odom")
+    assert stamped.columns["header.stamp.sec"].tolist() == [10**9 + n // 20 for n in range(200)]
+
+
 def test_commands_read_logs(tmp_path):
     drive = exported_drive(tmp_path / "drive")
     result = CliRunner().invoke(main, ["features", str(drive), "--format", "json"])
