@@ -35,7 +35,7 @@ from oracle_pipeline.scoring.starts import effects_of_start
 from oracle_pipeline.scoring.verdict import CardOrigin, ScoringError
 
 DISTRIBUTION = "ros2-behaviour-oracle"
-LONG = 20  # windows of a recording; in a shorter one, signals of the whole show a short fault
+LONG = 10  # windows of a recording; in a shorter one, signals of the whole show a short fault
 FEWEST_IN_RANGE = 10  # recordings; the range of fewer says little of one signal alone
 COMMON_SIGNAL = 0.8  # least share of the rows in which a signal is, to be compared
 OF_SETTING = 0.2  # a signal that changes less in a recording than this, of what these differ by

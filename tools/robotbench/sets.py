@@ -15,7 +15,7 @@ from oracle_pipeline.logs.recording import write_bag
 from tools.robotbench.faults import FAULTS, Tables
 
 # Length of the parts of long recordings.
-_PART_S = {"kairos": 8.0, "faults": 15.0, "arm": 15.0, "flight": 15.0}
+_PART_S = {"kairos": 8.0, "faults": 15.0, "arm": 15.0, "flight": 15.0, "aeroplane": 15.0}
 _UCI_STEP_S = 0.315 / 15
 _UCI_COLUMNS = ("fx", "fy", "fz", "tx", "ty", "tz")
 _FLYING_US = 1250  # width of a motor's pulse, above which the quadcopter flies
@@ -142,6 +142,30 @@ def jackal(safe: str, unsafe: str) -> Callable[[Path, Path], Iterator[Case]]:
     return load
 
 
+def alfa(source: Path, work: Path) -> Iterator[Case]:
+    """Yield parts of an aeroplane's flights: all without a failure, and the ends of the others.
+
+    A file of a failed flight is also among those without a failure, and left out there.
+    """
+    for file in sorted(source.glob("*/carbonZ_*.csv")):
+        failed, parts = "no_failure" not in file.name, list(_time_parts(file))
+        if failed != (file.parent.name != "no_failure"):
+            continue
+        for number, part in list(enumerate(parts))[-1 if failed else 0 :]:
+            path = work / f"{file.stem}_{number:03d}.csv"
+            part.to_csv(path, index=False)
+            yield Case(path, file.stem[:27], failed)
+
+
+def _time_parts(file: Path) -> Iterator[pd.DataFrame]:
+    """Cut a table into parts of equal length, from its end."""
+    table = pd.read_csv(file)
+    left_s = (times := pd.to_datetime(table["%time"])).iloc[-1] - times
+    part = (left_s.dt.total_seconds() // _PART_S["aeroplane"]).astype(int)
+    for number in range(part.max() - 1, -1, -1):
+        yield table[part == number]
+
+
 def _topics(frames: pd.DataFrame) -> list[LogTopic]:
     """Return the frames of a Jackal as messages; its heading is the integral of its turning."""
     times_ns = (frames["timestamp"].to_numpy() * 1e9).astype(np.int64)
@@ -211,5 +235,6 @@ SETS: Mapping[str, tuple[str, str, Callable[[Path, Path], Iterator[Case]]]] = {
     "jackal_cross": ("jackal", "wheeled", jackal("E3", "N5")),
     "jackal_unsafe": ("jackal", "wheeled", jackal("E3", "N6")),
     "quadcopter_hover": ("quadcopter", "quadrotor", quadcopter("Hover")),
+    "alfa": ("alfa", "aeroplane", alfa),
     "quadcopter_line": ("quadcopter", "quadrotor", quadcopter("Straight line")),
 }
