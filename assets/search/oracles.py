@@ -169,7 +169,7 @@ def _ready(oracle: KindOracle) -> _Ready:
     requirements = load(oracle.requirements or NAV2)
     numbers = requirements.signals
     controls = traced_runs([oracle.controls], [], numbers)
-    normal = controls.where(_none(controls))
+    normal = controls.where(np.zeros(len(controls.traces), dtype=np.bool_))
     if oracle.normal:
         normal = traced_runs([], [oracle.normal], numbers)
     normal = _apart(normal.where(normal.normal))
@@ -200,10 +200,6 @@ def _ready(oracle: KindOracle) -> _Ready:
     scores = np.sort(fitted.score(usual))
     beyond = int(oracle.far * (1 + len(scores)) + 1e-9)  # p <= far: fewer score as high
     return _Ready(numbers, fitted, scores, float(scores[-beyond]))
-
-
-def _none(runs: TracedRuns) -> NDArray[np.bool_]:
-    return np.zeros(len(runs.traces), dtype=np.bool_)
 
 
 def _apart(runs: TracedRuns) -> TracedRuns:

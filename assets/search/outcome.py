@@ -53,14 +53,10 @@ def save(
         path = corpus / f"{name}.yaml"
         path.write_text(_as_scenario(name, miss, seed), "utf-8")
         written.append(path)
-    if any(_is_in_place(miss) for miss in found):
+    if any(Scenario("found", miss.proposal.document, NO_FILE).is_in_place for miss in found):
         normal = _as_yaml(builtin_scenarios()[UNALTERED].document)
         (corpus / f"{UNALTERED}.yaml").write_text(normal, "utf-8")
     return written
-
-
-def _is_in_place(finding: Finding) -> bool:
-    return Scenario("found", finding.proposal.document, NO_FILE).is_in_place
 
 
 def _as_scenario(name: str, miss: Finding, seed: int) -> str:

@@ -5,7 +5,6 @@ Processes are forks, so that all modules are imported: of this process, or of a 
 has threads. A process takes one recording after another, until one fails.
 """
 
-import importlib
 import multiprocessing
 import os
 import resource
@@ -46,7 +45,6 @@ Check: TypeAlias = Callable[[KeptMessages, SignalCollector], Sequence[str]]
 
 MOST_AT_ONCE = 8  # processes, each of which may take gibibytes
 _GIB = 2**30
-_WARM = "oracle_pipeline.features.warm_start"
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +219,7 @@ def isolated_each(
                 for n, (work, path) in islice(waiting, begun):
                     try:
                         if not (idle and idle[-1].worker.is_alive):
-                            idle.append(_Reader(work, limits, warm=len(jobs) > 1))
+                            idle.append(_Reader(work, limits))
                         reader = idle.pop()
                         reader.begin(work, path)
                         running[n] = reader
@@ -243,8 +241,8 @@ def isolated_each(
 class _Reader:
     """A worker that reads one recording at a time, within limits."""
 
-    def __init__(self, first: Callable[[Path], object], limits: Limits, *, warm: bool) -> None:
-        context = _context(getattr(first, "func", first).__module__, warm=warm)
+    def __init__(self, first: Callable[[Path], object], limits: Limits) -> None:
+        context = _context(getattr(first, "func", first).__module__)
         self.worker, self._limits = Worker(context, _prepare), limits
 
     def begin(self, work: Callable[[Path], object], path: Path) -> None:
@@ -311,15 +309,13 @@ def _memory() -> int:
     return int(table.read_text().split()[5]) * resource.getpagesize() if table.exists() else 0
 
 
-def _context(module: str, *, warm: bool) -> ForkContext | ForkServerContext:
+def _context(module: str) -> ForkContext | ForkServerContext:
     """Return how a process begins that needs a module: as a fork of this one, or of a server.
 
     This process may only be forked while no other thread of it can hold a lock.
     """
     if sys.platform != "linux" or len(sys._current_frames()) > 1:  # of all threads
         return _server(module)
-    if warm:
-        importlib.import_module(_WARM)
     return multiprocessing.get_context("fork")
 
 
@@ -328,7 +324,7 @@ def _server(module: str) -> ForkServerContext:
     """Return the context; its server, if it does not run yet, imports what the module needs."""
     context = multiprocessing.get_context("forkserver")
     first = [FINDS_OURS] if FINDS_OURS in sys.modules else []  # as it is in this process
-    context.set_forkserver_preload([*first, module, _WARM])
+    context.set_forkserver_preload([*first, module])
     return context
 
 

@@ -31,7 +31,6 @@ FORKED = [
     "sim.atc.run",
     "sim.turtlebot3.drawing",
     "sim.turtlebot3.run",
-    "oracle_pipeline.features.warm_start",
 ]
 
 

@@ -8,13 +8,11 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.features import build_manager
-from oracle_pipeline.features.statistics.reduction import quantile_of
 from oracle_pipeline.scoring.isolation import Limits, extract_each, isolated_each
 from tests.oracle_pipeline.bags.conftest import STRING, text
 
@@ -158,18 +156,6 @@ def test_memory_of_a_process_is_limited(bag, tmp_path):
     assert "MemoryError" in tables.run["missing"].iloc[0]  # the plugin's own; the rest is computed
 
 
-@pytest.mark.slow
-def test_a_process_begins_with_the_machine_code_that_its_recording_needs(bag):
-    """Otherwise a suite of many short recordings takes twice as long."""
-    quantile_of(np.arange(3.0), 0.5)  # from now on, its machine code is on disk
-    code = (
-        "from pathlib import Path; from tests.oracle_pipeline.scoring.test_isolation "
-        "import loaded; from oracle_pipeline.scoring.isolation import isolated_each\n"
-        f"print(*isolated_each([(loaded, Path({str(bag)!r}))] * 2))"
-    )
-    assert printed(code) == "True True\n"
-
-
 def printed(code: str) -> str:
     """Return what a program prints that knows the tests."""
     done = subprocess.run(
@@ -177,7 +163,3 @@ def printed(code: str) -> str:
         check=True,
     )  # fmt: skip
     return done.stdout
-
-
-def loaded(_: Path) -> bool:
-    return bool(quantile_of.overloads)  # type: ignore[attr-defined]
