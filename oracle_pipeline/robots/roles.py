@@ -25,6 +25,9 @@ LASER_SCAN: Final = "sensor_msgs/msg/LaserScan"
 POINT_CLOUD: Final = "sensor_msgs/msg/PointCloud2"
 
 _TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+_MEASURED_TWISTS = (  # what a robot measured or estimated is no command
+    "*gps*", "*local_position*", "*global_position*", "*wind*", "*odom*", "*estimat*", "*measured*",
+)  # fmt: skip
 
 
 class RolesError(OracleError):
@@ -72,7 +75,8 @@ ROLES: Final[Mapping[str, Role]] = {
     IMU: Role(("sensor_msgs/msg/Imu",), several=True),
     JOINTS: Role(("sensor_msgs/msg/JointState",), several=True),
     COMMAND: Role(
-        _TWISTS, usual=("/cmd_vel", "*/cmd_vel"), never=("*/cmd_vel_raw", "*/cmd_vel_smoothed")
+        _TWISTS, usual=("/cmd_vel", "*/cmd_vel"),
+        never=("*/cmd_vel_raw", "*/cmd_vel_smoothed", *_MEASURED_TWISTS),
     ),
     REQUESTED_COMMAND: Role(
         _TWISTS, usual=("*/cmd_vel_raw", "*/cmd_vel_smoothed"), only_usual=True

@@ -50,6 +50,7 @@ def topics(roles):
         ({"/cmd_vel": TWIST, "/cmd_vel_raw": TWIST}, "command", ("/cmd_vel",)),
         ({"/cmd_vel": TWIST, "/cmd_vel_raw": TWIST}, "requested_command", ("/cmd_vel_raw",)),
         ({"/cmd_vel_raw": TWIST}, "command", ()),
+        ({"/mavros/local_position/velocity": STAMPED, "/gps_vel": STAMPED}, "command", ()),
         ({"/initialpose": POSE}, "pose", ()),
         ({"/initialpose": POSE, "/pose": POSE}, "pose", ("/pose",)),
         ({"/global_costmap/costmap": GRID}, "map", ()),
