@@ -89,7 +89,7 @@ class BatchMcapWriter(McapWriter):
         records: Any = chunk.bio.getbuffer()  # compressors take any buffer
         packed, size = self.compressor(records), len(records)
         start = self.bio.tell()
-        name = _sized(self.compression.encode())
+        name = struct.pack("<I", len(self.compression)) + self.compression.encode()
         span = (chunk.message_start_time, chunk.message_end_time)
         self.bio.write(
             _CHUNK_HEAD.pack(
@@ -156,8 +156,3 @@ def interleaved(heads: bytes, payloads: Sequence[bytes]) -> list[bytes]:
     parts[0::2] = [heads[at : at + size] for at in range(0, len(heads), size)]
     parts[1::2] = payloads
     return parts
-
-
-def _sized(text: bytes) -> bytes:
-    """Return a string in the format of MCAP: its length, then its bytes."""
-    return struct.pack("<I", len(text)) + text

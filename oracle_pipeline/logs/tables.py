@@ -87,14 +87,14 @@ def read_tables(path: Path, layout: Layout | None = None) -> Log:
     log = Log([])
     if path.is_dir() and not layout.recording:
         log.notes.append("Its tables are taken as the topics of one recording.")
-    files: dict[str, list[str]] = {}  # by note
+    noted: dict[str, list[str]] = {}  # topics by note
     for file, name in _topics(path).items():
         topic, _, notes = _topic(file, layout.of_file(file.name), name)
         log.topics.append(topic)
         for note in notes:
-            files.setdefault(note, []).append(file.name)
-    for note, noted in files.items():
-        where = f"{noted[0]}: " if len(noted) == 1 else f"{len(noted)} tables: "
+            noted.setdefault(note, []).append(topic.name)
+    for note, topics in noted.items():
+        where = f"{topics[0]}: " if len(topics) == 1 else f"{len(topics)} tables: "
         log.notes.append(f"{where if path.is_dir() else ''}{note}")
     names = [topic.name for topic in log.topics]
     if twice := sorted({name for name in names if names.count(name) > 1}):

@@ -312,7 +312,11 @@ def _joints(series: Series, column: int) -> _Joints | None:
     order = np.flatnonzero(whole)[np.argsort(stamps_s[whole], kind="stable")]
     values = np.stack([np.asarray(told[i], dtype=np.float64) for i in order])
     at_s = stamps_s[order]
-    angles = np.unwrap(values, axis=0) if column == _POSITIONS else _summed(at_s, values)
+    # What exceeds a turn counts turns itself. To unwrap it would take half a turn between two
+    # messages for one back, as after a stall.
+    is_wrapped = np.abs(values).max(axis=0) <= 2.0 * np.pi
+    turned = np.where(is_wrapped, np.unwrap(values, axis=0), values)
+    angles = turned if column == _POSITIONS else _summed(at_s, values)
     return _Joints(series.times_s[order], at_s, angles)
 
 

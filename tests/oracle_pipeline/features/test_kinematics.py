@@ -191,6 +191,13 @@ def test_wheels_that_slip_now_and_then_are_off_in_metres_whatever_their_radius(t
     assert residuals[0] == pytest.approx(np.std(slipped), rel=0.3)
 
 
+def test_messages_that_arrive_at_once_after_a_stall_turn_no_wheel_back(honest, tmp_path):
+    stalled = [(t, topic, m) if not 5.7 < t < 6.5 else (6.5, topic, m) for t, topic, m in robot()]
+    values, *_ = extract(PLUGINS, stalled, tmp_path)
+    for name in ("spin_drift_angles_rates", "travel_scale_pose_joints"):
+        assert values[name] == pytest.approx(honest[0][name], abs=0.1), name
+
+
 def test_a_stream_that_is_late_lags(extracted):
     values, where, _ = extracted(late_s=0.15)
     assert values["turn_lag_pose_gyro"] == pytest.approx(0.15, abs=0.02)
