@@ -24,6 +24,7 @@ _CANDIDATES = (
     "sensor_msgs/msg/Imu",
     "sensor_msgs/msg/NavSatFix",
     "sensor_msgs/msg/MagneticField",
+    "sensor_msgs/msg/LaserScan",
     "sensor_msgs/msg/Range",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "geometry_msgs/msg/PoseStamped",
@@ -151,20 +152,21 @@ def _zero(kind: Any) -> Any:
     return [_zero(element) for _ in range(length)]
 
 
-def numeric_paths(msgtype: str) -> Iterator[str]:
+def _number_paths(msgtype: str) -> Iterator[str]:
     """Yield the fields of a type that hold numbers, such as ``pose.position.x``."""
     for name, (node, detail) in typestore().fielddefs[msgtype][1]:
+        of_one = detail[0] if node in (Nodetype.ARRAY, Nodetype.SEQUENCE) else (node, detail)
         if node == Nodetype.NAME:
-            yield from (f"{name}.{path}" for path in numeric_paths(str(detail)))
-        elif node == Nodetype.ARRAY or (node == Nodetype.BASE and detail[0] != "string"):
+            yield from (f"{name}.{path}" for path in _number_paths(str(detail)))
+        elif of_one[0] == Nodetype.BASE and of_one[1][0] != "string":
             yield name
 
 
 def guessed_type(columns: Mapping[str, Any]) -> str:
     """Return the type whose fields the columns are; empty if there is none.
 
-    All numbers of the type must be there but for covariances and the header, and the table must
-    have no other columns. ROS 1's names of the header count.
+    All numbers of the type must be there but for covariances, intensities and the header, and the
+    table must have no other columns. ROS 1's names of the header count.
     """
     names = {name for name in columns if not name.startswith("header.")}
     for msgtype in _CANDIDATES:
@@ -177,6 +179,6 @@ def guessed_type(columns: Mapping[str, Any]) -> str:
 @functools.cache
 def _fields(msgtype: str) -> tuple[frozenset[str], frozenset[str]]:
     """Return the fields that a table of a type must have, and all that it may have."""
-    paths = frozenset(p for p in numeric_paths(msgtype) if not p.startswith("header."))
-    optional = {p for p in paths if "covariance" in p or p.startswith("status.")}
+    paths = frozenset(p for p in _number_paths(msgtype) if not p.startswith("header."))
+    optional = {p for p in paths if re.search("covariance|^status\\.|^intensities", p)}
     return paths - optional, paths

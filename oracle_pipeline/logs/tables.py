@@ -189,14 +189,12 @@ def _read(file: Path) -> pd.DataFrame:
 
 def _of_echo(frame: pd.DataFrame) -> pd.DataFrame:
     """Return what ``rostopic echo -p`` wrote with the names of fields; its stamps are in ns."""
-    frame = frame.rename(
-        columns=lambda name: (
-            re.sub(r"(?<=\D)(\d+)$", r"_\1", name[len("field.") :]) if _ECHOED.match(name) else name
-        )
-    )
+    fields = (str(name).removeprefix("field.") for name in frame)
+    frame = frame.set_axis([re.sub(r"(?<=\D)(\d+)$", r"_\1", name) for name in fields], axis=1)
     if "header.stamp" in frame:
         seconds, rest = frame.pop("header.stamp").divmod(10**9)
-        frame["header.stamp.secs"], frame["header.stamp.nsecs"] = seconds, rest
+        stamps = pd.DataFrame({"header.stamp.secs": seconds, "header.stamp.nsecs": rest})
+        frame = pd.concat([frame, stamps], axis=1)
     return frame
 
 

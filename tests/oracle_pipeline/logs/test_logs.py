@@ -173,6 +173,21 @@ def test_what_rostopic_echo_wrote_is_the_same_drive(name, tmp_path):
     assert stamped.columns["header.stamp.sec"].tolist() == [10**9 + n // 20 for n in range(200)]
 
 
+def test_what_rostopic_echo_wrote_of_a_scanner_is_a_scan(tmp_path):
+    stamps = np.arange(5) * 200_000_000 + 10**18
+    scan = {"%time": stamps, "field.header.stamp": stamps, "field.header.frame_id": "base_scan"}
+    single = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time")
+    scan |= {f"field.{name}": 0.1 for name in (*single, "range_min", "range_max")}
+    scan |= {f"field.ranges{n}": [1.0, np.inf, 2.0, 3.0, n] for n in range(180)}
+    pd.DataFrame(scan).to_csv(tmp_path / "scan.csv", index=False)
+    with open_run(tmp_path / "scan.csv") as run:
+        last = [run.bag.deserialize(message) for message in run.bag.messages(["/log"])][-1]
+    assert type(last).__name__.endswith("LaserScan")
+    np.testing.assert_array_equal(last.ranges, np.arange(180.0))
+    assert last.header.frame_id == "base_scan"
+    assert last.header.stamp.nanosec == 800_000_000
+
+
 def test_commands_read_logs(tmp_path):
     drive = exported_drive(tmp_path / "drive")
     result = CliRunner().invoke(main, ["features", str(drive), "--format", "json"])
