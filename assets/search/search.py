@@ -237,18 +237,14 @@ def evasion(finding: Finding) -> tuple[float, float]:
     attacks without an effect.
     """
     reached = finding.effect if finding.feedback is None else finding.feedback
-    return min(_ordered(reached), _ENOUGH), 0.0 if finding.passed else _symlog(
-        _ordered(finding.score)
-    )
+    score = _ordered(finding.score)
+    distance = 0.0 if finding.passed else math.copysign(math.log1p(abs(score)), score)
+    return min(_ordered(reached), _ENOUGH), distance
 
 
 def _ordered(value: float) -> float:
     """Return a sortable number; one that is not finite becomes larger than all others."""
     return value if math.isfinite(value) else _BEYOND_ALL
-
-
-def _symlog(value: float) -> float:
-    return math.copysign(math.log1p(abs(value)), value)
 
 
 def _sampler(name: Sampler, seed: int) -> BaseSampler:

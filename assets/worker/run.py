@@ -14,7 +14,6 @@ from assets.worker.feature_tables import ensure_tables, tables_are_current, topi
 from assets.worker.local_run import local_directory, on_this_machine, publish_run
 from assets.worker.reproduction import judge, refreshed_directory
 from assets.worker.run_job import AssetOfRun, RunJob, RunReport, Status
-from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.manifest import KEPT, Manifest
 from oracle_pipeline.bags.remote import is_local, publish
 from oracle_pipeline.bags.retention import retain
@@ -33,7 +32,7 @@ def process_run(job: RunJob) -> RunReport:
     """
     with job.directory.held():
         renewed = job.refresh and job.wants_recording
-        if renewed and (previous := _readable_manifest(job.directory)):
+        if renewed and (previous := job.directory.readable_manifest()):
             return _resimulate(job, previous)
         if renewed or not job.directory.is_complete():
             return _make(job)
@@ -42,13 +41,6 @@ def process_run(job: RunJob) -> RunReport:
         if _needs_bag(job, manifest := job.directory.manifest()):
             return _remake(job, manifest)
         return _finish(job, "verified")
-
-
-def _readable_manifest(run: RunDirectory) -> Manifest | None:
-    try:
-        return run.manifest()
-    except ManifestError:
-        return None
 
 
 def _needs_bag(job: RunJob, manifest: Manifest) -> bool:

@@ -211,7 +211,7 @@ class _Gexf:
         for source, target, data in self._edges:
             if source not in self._vertices or target not in self._vertices:
                 raise GraphError(f"the edge from {source!r} to {target!r} has no vertex")
-            graph.add_edge(source, target, **_traffic(data))
+            graph.add_edge(source, target, **{name: int(data[name]) for name in _EDGE_ATTRIBUTES})
         return graph
 
 
@@ -220,7 +220,3 @@ def _vertex(vertex: str, data: Mapping[str, str]) -> dict[str, str]:
     if kind not in KINDS or vertex != vertex_id(kind, name):
         raise GraphError(f"vertex {vertex!r} is not 'kind:name' of a known kind")
     return {"label": name, "kind": kind, "type": data.get("type", "")}
-
-
-def _traffic(data: Mapping[str, str]) -> dict[str, int]:
-    return {name: int(data[name]) for name in _EDGE_ATTRIBUTES}

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from oracle_pipeline.bags.errors import RunDirectoryError
+from oracle_pipeline.bags.errors import ManifestError, RunDirectoryError
 from oracle_pipeline.bags.layout import RUNS, TableName, feature_table, run_folder
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.protocol import run_key
@@ -131,6 +131,13 @@ class RunDirectory:
     def manifest(self) -> Manifest:
         """Read its manifest; raises ``ManifestError``."""
         return Manifest.load(self.manifest_path)
+
+    def readable_manifest(self) -> Manifest | None:
+        """Return its manifest; None if unreadable, which the run's verification reports."""
+        try:
+            return self.manifest()
+        except ManifestError:
+            return None
 
     def amend(self, **found: Any) -> None:
         """Change fields of the manifest of a complete run, atomically.

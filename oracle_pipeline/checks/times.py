@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from oracle_pipeline.checks.topic import FEWEST, CheckedTopic, Fault, Floats, worst
+from oracle_pipeline.checks.topic import FEWEST, CheckedTopic, Fault, Floats, step_spans, worst
 
 _STEADY = 3.0  # the 95th percentile of a steady topic's periods, in medians
 _GAP, _SHORTEST_GAP_S = 10.0, 0.5  # a gap is both: in periods, and in seconds
@@ -22,7 +22,7 @@ def gaps(topic: CheckedTopic) -> Iterator[Fault]:
     found = np.flatnonzero(steps > max(_GAP * period, _SHORTEST_GAP_S))
     if len(found):
         yield worst(
-            "gap", topic.name, "", _spans(topic, found), steps[found], "s",
+            "gap", topic.name, "", step_spans(topic.times_s, found), steps[found], "s",
             f"no message for {{size}} s at {{at}}, where there is one each {period:.3g} s",
         )  # fmt: skip
 
@@ -37,7 +37,7 @@ def late_bursts(topic: CheckedTopic) -> Iterator[Fault]:
     found = late[[bool(quick[at + 1 : at + 1 + _BURST].sum() == _BURST) for at in late.tolist()]]
     if len(found):
         yield worst(
-            "late_burst", topic.name, "", _spans(topic, found), steps[found], "s",
+            "late_burst", topic.name, "", step_spans(topic.times_s, found), steps[found], "s",
             "messages were held back for {size} s at {at}, and then came at once",
         )  # fmt: skip
 
@@ -48,7 +48,8 @@ def stamps(topic: CheckedTopic) -> Iterator[Fault]:
     found = np.flatnonzero(back > _STEP_NS)
     if len(found) and len(found) <= _DISORDER * len(topic.stamps_ns):
         yield worst(
-            "stamp", topic.name, "header.stamp", _spans(topic, found), back[found] * 1e-9, "s",
+            "stamp", topic.name, "header.stamp", step_spans(topic.times_s, found),
+            back[found] * 1e-9, "s",
             "the stamp goes back by {size} s at {at}, {count} times in all",
         )  # fmt: skip
 
@@ -67,8 +68,3 @@ def _steps(topic: CheckedTopic) -> tuple[Floats, float]:
         return steps, 0.0
     median, high = np.quantile(steps, (0.5, 0.95))
     return steps, float(median) if 0.0 < high <= _STEADY * median else 0.0
-
-
-def _spans(topic: CheckedTopic, steps: np.ndarray) -> Floats:
-    """Return the times between which steps lie."""
-    return np.column_stack([topic.times_s[steps], topic.times_s[steps + 1]])

@@ -101,6 +101,11 @@ def signals_of(topic: CheckedTopic) -> list[CheckedSignal]:
     return found
 
 
+def step_spans(times_s: Floats, steps: NDArray[np.int64]) -> Floats:
+    """Return the times between which steps lie, shape (n, 2)."""
+    return np.column_stack([times_s[steps], times_s[steps + 1]])
+
+
 def worst(
     check: str, topic: str, signal: str, spans: NDArray[np.float64], sizes: Floats, unit: str,
     text: str,

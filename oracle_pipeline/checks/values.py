@@ -15,6 +15,7 @@ from oracle_pipeline.checks.topic import (
     Floats,
     runs,
     signals_of,
+    step_spans,
     worst,
 )
 from oracle_pipeline.features.signals.units import of_fields, period_of
@@ -94,7 +95,7 @@ def jumps(topic: CheckedTopic) -> Iterator[Fault]:
         took_s = np.maximum(np.diff(signal.times_s)[found], 1e-3)
         found = found[np.abs(steps[found]) * scale / took_s > _FASTEST]
         if len(found):
-            spans = np.column_stack([signal.times_s[found], signal.times_s[found + 1]])
+            spans = step_spans(signal.times_s, found)
             usual_text = f"nearly all steps are below {usual:.3g}"
             yield worst(
                 "jump", topic.name, signal.name, spans, steps[found], signal.unit,
@@ -223,13 +224,13 @@ def counters(topic: CheckedTopic) -> Iterator[Fault]:
         back, skipped = np.flatnonzero(steps < 0.0), np.flatnonzero(steps > 1.5 * step)
         if len(back):
             yield worst(
-                "counter", topic.name, signal.name, _between(signal, back), steps[back], "1",
-                f"{signal.name} goes back by {{size}} at {{at}}, {{count}} times in all",
+                "counter", topic.name, signal.name, step_spans(signal.times_s, back), steps[back],
+                "1", f"{signal.name} goes back by {{size}} at {{at}}, {{count}} times in all",
             )  # fmt: skip
         if len(skipped):
             lost = steps[skipped] / step - 1.0
             yield worst(
-                "lost", topic.name, signal.name, _between(signal, skipped), lost, "1",
+                "lost", topic.name, signal.name, step_spans(signal.times_s, skipped), lost, "1",
                 f"{signal.name} skips {{size}} numbers at {{at}}; {lost.sum():.0f} messages are "
                 "lost in all",
             )  # fmt: skip
@@ -237,10 +238,6 @@ def counters(topic: CheckedTopic) -> Iterator[Fault]:
 
 def _at(signal: CheckedSignal, rows: NDArray[np.int64]) -> Floats:
     return np.column_stack([signal.times_s[rows], signal.times_s[rows]])
-
-
-def _between(signal: CheckedSignal, steps: NDArray[np.int64]) -> Floats:
-    return np.column_stack([signal.times_s[steps], signal.times_s[steps + 1]])
 
 
 def _of(unit: str) -> str:

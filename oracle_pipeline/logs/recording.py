@@ -162,6 +162,27 @@ def _number_paths(msgtype: str) -> Iterator[str]:
             yield name
 
 
+def echoed_columns(count: int) -> list[str]:
+    """Return names for so many numbers and texts that ``ros2 topic echo --csv`` wrote in a row.
+
+    They are the fields of the only type that has as many, if there is one.
+    """
+    rows = [row for row in map(_row, _CANDIDATES) if len(row) == count and row[0] == STAMP[0]]
+    unknown = [*STAMP, "header.frame_id", *(f"column_{n}" for n in range(4, count + 1))]
+    return rows[0] if len(rows) == 1 else unknown
+
+
+def _row(msgtype: str) -> list[str]:
+    """Return the fields of a type, one for each number or text."""
+    row: list[str] = []
+    for name, (node, detail) in typestore().fielddefs[msgtype][1]:
+        inner = _row(str(detail)) if node == Nodetype.NAME else [""]
+        inner = list(map(str, range(int(detail[1])))) if node == Nodetype.ARRAY else inner
+        mark = {Nodetype.NAME: ".", Nodetype.ARRAY: "_"}.get(node, "")
+        row += [f"{name}{mark}{each}" for each in inner]
+    return row
+
+
 def guessed_type(columns: Mapping[str, Any]) -> str:
     """Return the type whose fields the columns are; empty if there is none.
 

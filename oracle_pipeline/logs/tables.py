@@ -13,6 +13,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.template import STAMP
 from oracle_pipeline.logs.files import tables_in
 from oracle_pipeline.logs.layout import (
     LAYOUT_FILE,
@@ -23,7 +24,7 @@ from oracle_pipeline.logs.layout import (
     find_layout,
 )
 from oracle_pipeline.logs.log import Log, LogError, LogTopic, grouped, reading
-from oracle_pipeline.logs.recording import guessed_type
+from oracle_pipeline.logs.recording import echoed_columns, guessed_type
 
 _TIMES = re.compile(
     r"[%_]*(?:time|timestamp|stamp|t|elapsed|seconds|sec|secs|date|date[ _/-]?time)"
@@ -34,6 +35,7 @@ _LIKE_TIMES = re.compile(r"time|stamp|epoch|clock", re.IGNORECASE)  # if they ne
 _UNIT = re.compile(
     r"(?:[_ .\[(]|time|stamp|^t)([mun]?s)(?:ec(?:ond)?s?)?[\])]*$", re.IGNORECASE
 )  # of a time, at the end of its name
+_ROS2_ECHO = re.compile(r"\d+,\d{1,9},(?:[A-Za-z/][\w/]*)?,")  # seconds, nanoseconds and a frame
 _ECHOED = re.compile(r"field\.")
 _COUNTERS = re.compile(r"unnamed: 0|index|idx|row|seq|frame|sample|id", re.IGNORECASE)
 _ABOVE = re.compile(r"#|sep=|\s*$")  # begins lines above the names of columns
@@ -180,6 +182,8 @@ def _read(file: Path) -> pd.DataFrame:
         if frame.empty:
             raise ValueError("it has no rows")
         frame = frame.rename(columns=lambda name: str(name).strip())
+        if frame.columns[0] == STAMP[0]:
+            frame.insert(0, "time", frame[STAMP[0]] * 10**9 + frame[STAMP[1]])
         names = {name.lower(): name for name in frame.columns}
         if names.keys() >= {"date", "time"} and frame[names["date"]].dtype.kind not in "biufM":
             time = frame[names["time"]].astype(str)
@@ -210,6 +214,8 @@ def _dialect(file: Path) -> dict[str, Any]:
     lines = text.removeprefix("\ufeff").splitlines()
     first = next((n for n, line in enumerate(lines) if not _ABOVE.match(line)), 0)
     row, above = lines[first] if lines else "", lines[first - 1] if first else ""
+    if _ROS2_ECHO.match(row):
+        return {"header": None, "names": echoed_columns(row.count(",") + 1)}
     mark = max(",;\t", key=row.count)
     mark = mark if mark in row else r"\s+"
     decimal = "," if mark != "," and _COMMA.search(text) else "."

@@ -265,7 +265,7 @@ def _driven(window: fp.Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
 
 
 def _sensed(window: fp.Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
-    if (inertial := _first(window, "inertial")) is not None:
+    if (inertial := fp.sole_series(window.topics.get("inertial", {}))) is not None:
         yield from zip(("gyro_turn", "acceleration"), _held(inertial, clock), strict=True)
     if (poses := _one(window, "pose")) is not None:
         yield "pose_spread", _held(poses, clock)[2]
@@ -311,11 +311,6 @@ def _logged(window: fp.Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
 def _one(window: fp.Window, key: str) -> fp.Series | None:
     """Return the values of a role that only one topic has."""
     return fp.sole_series(window.topics.get(key, {}))
-
-
-def _first(window: fp.Window, key: str) -> fp.Series | None:
-    """Return the values of the first topic of a role, by name."""
-    return next(iter(window.topics.get(key, {}).values()), None)
 
 
 def _held(series: fp.Series, clock: Floats) -> Floats:

@@ -55,7 +55,8 @@ class Origin(NamedTuple):
                 return False
             is_one = (self.seed, self.block) == (other.seed, other.block)
             is_there = self.start is not None and self.start == other.start
-            return is_one or is_there or _is_drawn(self.world)
+            # Or drawn: then the world's name ends with a seed.
+            return is_one or is_there or self.world.rpartition("-")[2].strip("0").isdigit()
         return (
             self.start is not None and other.start is not None and self.start.is_near(other.start)
         )
@@ -89,11 +90,6 @@ def blocks(origins: Sequence[Origin]) -> list[int]:
             own = origin.block + PER_SEED * seeds.index(origin.seed)
         found.append(next(alike, own))
     return found
-
-
-def _is_drawn(world: str) -> bool:
-    """Return whether the name of a world ends with the seed that it was drawn from."""
-    return world.rpartition("-")[2].strip("0").isdigit()
 
 
 def _start(robot: Robot) -> Start | None:

@@ -113,12 +113,8 @@ def _text(evidence: Evidence, value: str, usual: str) -> str:
 def clearest(evidence: Sequence[Evidence]) -> Evidence:
     """Return the farthest feature that has a phrase, unless another is much farther."""
     farthest = abs(evidence[0].z)
-    clear = (e for e in evidence if _is_clear(e) and abs(e.z) >= _CLEAR * farthest)
-    return next(clear, evidence[0])
-
-
-def _is_clear(evidence: Evidence) -> bool:
-    return bool(_phrase(evidence) or topic_of_signal(evidence.feature))
+    clear = (e for e in evidence if _phrase(e) or topic_of_signal(e.feature))
+    return next((e for e in clear if abs(e.z) >= _CLEAR * farthest), evidence[0])
 
 
 def _phrase(evidence: Evidence) -> str:

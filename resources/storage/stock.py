@@ -13,9 +13,8 @@ from statistics import fmean
 
 from pydantic import ByteSize, TypeAdapter, ValidationError
 
-from oracle_pipeline.bags.errors import ManifestError
 from oracle_pipeline.bags.layout import owner
-from oracle_pipeline.bags.manifest import KEPT, Kept, Manifest
+from oracle_pipeline.bags.manifest import KEPT, Kept
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, RunDirectory, find_runs
 from resources.storage.plan import Sizes, StorageError, megabytes, plan
 
@@ -164,7 +163,7 @@ def make_plan(
     capacity = stock.total + stock.free - reserve
     limit = capacity if budget is None else min(budget, capacity)
     new = [run for run in wanted if run not in stock.runs]
-    guess = _first_guess(goals)
+    guess = Sizes(*(FIRST_GUESS.of(kept) + goals * FIRST_GUESS_A_GOAL.of(kept) for kept in KEPT))
     expected = {
         mode: expected_sizes(mode, stock) or guess for mode in sorted({run.mode for run in new})
     }
@@ -207,15 +206,12 @@ def _fewest_finished(modes: Collection[str], stock: Stock) -> int:
     return min((finished[mode] for mode in modes), default=len(stock.runs))
 
 
-def _first_guess(goals: int) -> Sizes:
-    return Sizes(*(FIRST_GUESS.of(kept) + goals * FIRST_GUESS_A_GOAL.of(kept) for kept in KEPT))
-
-
 def expected_sizes(mode: str, stock: Stock) -> Sizes | None:
     """Return the mean size of finished runs of the mode, or else of all modes."""
     of_mode = [run for run in stock.runs if run.mode == mode] or list(stock.runs)
     sample = of_mode[:: len(of_mode) // SAMPLE + 1]
-    measured = [(stock.runs[run].rest, m.measured) for run in sample if (m := _manifest(run))]
+    known = [(stock.runs[run].rest, run.readable_manifest()) for run in sample]
+    measured = [(rest, manifest.measured) for rest, manifest in known if manifest]
     if not measured:
         return None
     rest = fmean(rest for rest, _ in measured)
@@ -258,20 +254,12 @@ def _possible_sizes(run: RunDirectory, stock: Stock) -> tuple[Kept, Sizes]:
     fixed = Sizes(now.total, now.total, now.total)
     if now.bag == 0:
         return "recipe", fixed
-    manifest = _manifest(run)
+    manifest = run.readable_manifest()
     if manifest is None or not can_be_rebuilt(manifest):
         return "full", fixed
     has = manifest.measured.kept
     trimmed = now.bag if has == "trimmed" else round(TRIMMED_SHARE * now.bag)
     return has, Sizes(now.total, now.rest + trimmed, now.rest)
-
-
-def _manifest(run: RunDirectory) -> Manifest | None:
-    """Return a run's manifest; None if unreadable, which the run's verification reports."""
-    try:
-        return run.manifest()
-    except ManifestError:
-        return None
 
 
 def storage_of_modes(stock: Stock) -> list[dict[str, str | int]]:
@@ -281,7 +269,7 @@ def storage_of_modes(stock: Stock) -> list[dict[str, str | int]]:
         by_mode[run.mode].append(run)
     rows: list[dict[str, str | int]] = []
     for mode, runs in by_mode.items():
-        measured = [m.measured for run in runs if (m := _manifest(run))]
+        measured = [m.measured for run in runs if (m := run.readable_manifest())]
         rows.append(
             {
                 "mode": mode,

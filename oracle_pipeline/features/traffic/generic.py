@@ -137,11 +137,6 @@ def _compute_bytes(window: fp.Window) -> fp.Values:
     return _medians(window.topics["messages"], window, ("byte_entropy", "zlib_ratio"), short)
 
 
-def _prepare_arrays(window: fp.Window) -> dict[str, fp.Series]:
-    """Return the statistics of each array, shape (n, 5), by topic."""
-    return statistics_of_topics(window)
-
-
 def _compute_arrays(window: fp.Window) -> fp.Values:
     """Compute from the arrays in messages."""
     none = "no array of floating-point numbers"
@@ -172,7 +167,7 @@ def register_features() -> list[fp.FeaturePlugin]:
         fp.FeaturePlugin(
             "generic_arrays", "generic", _ARRAY_FEATURES, _compute_arrays,
             {"arrays": ARRAYS},
-            prepare=_prepare_arrays,
+            prepare=statistics_of_topics,
         ),
     ]  # fmt: skip
 

@@ -173,6 +173,21 @@ def test_what_rostopic_echo_wrote_is_the_same_drive(name, tmp_path):
     assert stamped.columns["header.stamp.sec"].tolist() == [10**9 + n // 20 for n in range(200)]
 
 
+def test_what_ros2_topic_echo_wrote_has_its_names_and_its_type_back(tmp_path):
+    numbers = {"orientation": 4, "orientation_covariance": 9, "angular_velocity": 3, "": 9 + 3 + 9}
+    row = list(map(float, range(sum(numbers.values()))))
+    stamps = [(1648214153 + n // 4, n % 4 * 250_000_000) for n in range(8)]
+    rows = (",".join(map(str, [*stamp, "imu_link", *row])) for stamp in stamps)
+    (tmp_path / "imu.csv").write_text("\n".join(rows) + "\n")
+    with open_run(tmp_path / "imu.csv") as run:
+        messages = [run.bag.deserialize(message) for message in run.bag.messages(["/log"])]
+        assert run.duration_s == pytest.approx(1.75)
+    assert [(m.header.stamp.sec, m.header.stamp.nanosec) for m in messages] == stamps
+    assert messages[0].header.frame_id == "imu_link"
+    assert (messages[0].orientation.w, messages[0].angular_velocity.y) == (3.0, 14.0)
+    assert messages[0].linear_acceleration_covariance[8] == row[-1]
+
+
 def test_what_rostopic_echo_wrote_of_a_scanner_is_a_scan(tmp_path):
     stamps = np.arange(5) * 200_000_000 + 10**18
     scan = {"%time": stamps, "field.header.stamp": stamps, "field.header.frame_id": "base_scan"}
