@@ -56,8 +56,8 @@ class Worker:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it can take a job."""
-        return self._process.is_alive()
+        """Whether it can take a job; its pipe ends before a server of forks hears of its death."""
+        return self._process.is_alive() and not self.pipe.poll()
 
     def begin(self, function: Callable[..., Any], *arguments: Any, **named: Any) -> None:
         """Give it a job; function, arguments and result must be picklable.
