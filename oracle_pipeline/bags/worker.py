@@ -56,7 +56,7 @@ class Worker:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it can take a job; its pipe ends before a server of forks hears of its death."""
+        """Whether it can take a job; its pipe ends before a server of forks knows of its death."""
         return self._process.is_alive() and not self.pipe.poll()
 
     def begin(self, function: Callable[..., Any], *arguments: Any, **named: Any) -> None:

@@ -148,9 +148,10 @@ def _of_type(columns: dict[str, NDArray[Any]], msgtype: str) -> dict[str, NDArra
 
 
 def _topics(path: Path) -> dict[Path, str]:
-    """Return the topic of each table of a recording, without the name of the recording.
+    """Return the topic of each table of a recording.
 
-    All tables of a folder begin with that name, if they do with a number, or the folder's name.
+    What the names of all tables begin with is the name of the recording, and left out, if there is
+    a number in it, or the name of the folder.
     """
     if not path.is_dir():
         return {path: "/log"}
