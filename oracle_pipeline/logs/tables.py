@@ -36,7 +36,6 @@ _UNIT = re.compile(
     r"(?:[_ .\[(]|time|stamp|^t)([mun]?s)(?:ec(?:ond)?s?)?[\])]*$", re.IGNORECASE
 )  # of a time, at the end of its name
 _ROS2_ECHO = re.compile(r"\d+,\d{1,9},(?:[A-Za-z/][\w/]*)?,")  # seconds, nanoseconds and a frame
-_ECHOED = re.compile(r"field\.")
 _COUNTERS = re.compile(r"unnamed: 0|index|idx|row|seq|frame|sample|id", re.IGNORECASE)
 _ABOVE = re.compile(r"#|sep=|\s*$")  # begins lines above the names of columns
 _SHARED = 0.5  # least share of columns that recordings have in common; topics have the time
@@ -189,7 +188,8 @@ def _read(file: Path) -> pd.DataFrame:
         if names.keys() >= {"date", "time"} and frame[names["date"]].dtype.kind not in "biufM":
             time = frame[names["time"]].astype(str)
             frame[names["time"]] = frame.pop(names["date"]).str.cat(time, sep=" ")
-        return _of_echo(frame) if all(map(_ECHOED.match, frame.columns[1:])) else frame
+        echoed = frame.columns[1:].str.startswith("field.")
+        return _of_echo(frame) if len(echoed) and echoed.all() else frame
 
 
 def _of_echo(frame: pd.DataFrame) -> pd.DataFrame:

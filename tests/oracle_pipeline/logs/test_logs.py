@@ -415,8 +415,10 @@ def test_table_of_features_is_no_log(tmp_path):
 
 def test_table_without_time_says_how_to_name_it(tmp_path):
     file = tmp_path / "t.csv"
-    pd.DataFrame({"x": [1, 2]}).to_csv(file, index=False)
+    pd.DataFrame({"x1": [1, 2]}).to_csv(file, index=False)
     with pytest.raises(BagError, match="no column of time.*oracle_log.yaml"):
         read_log(file)
     (tmp_path / LAYOUT_FILE).write_text("topics: [{file: t.csv, time: {rate: 50}}]")
-    assert read_log(file).topics[0].times_ns.tolist() == [0, 20_000_000]
+    (topic,) = read_log(file).topics
+    assert topic.times_ns.tolist() == [0, 20_000_000]
+    assert list(topic.columns) == ["x1"]
