@@ -176,10 +176,12 @@ def _row(msgtype: str) -> list[str]:
     """Return the fields of a type, one for each number or text."""
     row: list[str] = []
     for name, (node, detail) in typestore().fielddefs[msgtype][1]:
-        inner = _row(str(detail)) if node == Nodetype.NAME else [""]
-        inner = list(map(str, range(int(detail[1])))) if node == Nodetype.ARRAY else inner
-        mark = {Nodetype.NAME: ".", Nodetype.ARRAY: "_"}.get(node, "")
-        row += [f"{name}{mark}{each}" for each in inner]
+        if node == Nodetype.NAME:
+            row += [f"{name}.{field}" for field in _row(str(detail))]
+        elif node == Nodetype.ARRAY:
+            row += [f"{name}_{number}" for number in range(int(detail[1]))]
+        else:
+            row.append(name)
     return row
 
 

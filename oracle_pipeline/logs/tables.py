@@ -105,10 +105,8 @@ def read_tables(path: Path, layout: Layout | None = None) -> Log:
 
 def guess_layout(path: Path) -> Layout:
     """Return the layout that is used without a layout file, to be written and corrected."""
-    layouts = [
-        _topic(file, TopicLayout(file.name), name)[1] for file, name in _topics(path).items()
-    ]
-    return Layout("folder" if path.is_dir() else "file", tuple(layouts))
+    guesses = (_topic(file, TopicLayout(file.name), name) for file, name in _topics(path).items())
+    return Layout("folder" if path.is_dir() else "file", tuple(about for _, about, _ in guesses))
 
 
 def _topic(file: Path, about: TopicLayout, name: str) -> tuple[LogTopic, TopicLayout, list[str]]:

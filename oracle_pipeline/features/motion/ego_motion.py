@@ -312,12 +312,18 @@ def _joints(series: Series, column: int) -> _Joints | None:
     order = np.flatnonzero(whole)[np.argsort(stamps_s[whole], kind="stable")]
     values = np.stack([np.asarray(told[i], dtype=np.float64) for i in order])
     at_s = stamps_s[order]
-    # What exceeds a turn counts turns itself. To unwrap it would take half a turn between two
-    # messages for one back, as after a stall.
-    is_wrapped = np.abs(values).max(axis=0) <= 2.0 * np.pi
-    turned = np.where(is_wrapped, np.unwrap(values, axis=0), values)
-    angles = turned if column == _POSITIONS else _summed(at_s, values)
+    angles = _unwrapped(values) if column == _POSITIONS else _summed(at_s, values)
     return _Joints(series.times_s[order], at_s, angles)
+
+
+def _unwrapped(angles: Floats) -> Floats:
+    """Return angles of joints without jumps of a turn.
+
+    What exceeds a turn counts turns itself. To unwrap it would take half a turn between two
+    messages for one back, as after a stall.
+    """
+    is_wrapped = np.abs(angles).max(axis=0) <= 2.0 * np.pi
+    return np.where(is_wrapped, np.unwrap(angles, axis=0), angles)
 
 
 def _spun(topic: str, joints: _Joints) -> Motion:
