@@ -19,12 +19,12 @@ from oracle_pipeline.checks.topic import (
     worst,
 )
 from oracle_pipeline.features.signals.units import of_fields, period_of
+from oracle_pipeline.logs.recording import MADE_TYPES
 
 _STUCK_MESSAGES, _STUCK_S = 10, 1.0  # a stuck stretch has both
 _LONGER = 10.0  # so many times longer than any other stretch of equal numbers
 _VELOCITIES = ("m/s", "rad/s")
 _MOTION = ("nav_msgs/", "geometry_msgs/", "tf2_msgs/", "ackermann_msgs/", "sensor_msgs/msg/Joint")
-_TABLES = "log_msgs/"  # types made for logs, whose columns end with blank cells, one by one
 _PLACES = ("x", "y", "z", "latitude", "longitude")
 _JUMP, _USUAL = 30.0, 0.99  # a jump, in steps of this quantile
 _FASTEST = 5.0  # slower than this no jump of a position is reported [m/s]
@@ -187,7 +187,7 @@ def not_finite(topic: CheckedTopic) -> Iterator[Fault]:
             continue
         bad[: int(np.argmin(bad))] = False  # before the first number there was none yet
         after = int(np.argmin(bad[::-1]))  # messages after the last number
-        if after == 1 or topic.msgtype.startswith(_TABLES):  # one may say that there are no more
+        if after == 1 or topic.msgtype.startswith(MADE_TYPES):  # a table ends with blank cells
             bad[len(bad) - after :] = False
         found = np.flatnonzero(bad)
         if len(found) and bad.mean() < 0.5:

@@ -17,6 +17,7 @@ from oracle_pipeline.logs.log import Log, LogError, LogTopic
 
 _CDR = np.frombuffer(b"\x00\x01\x00\x00", np.uint8)  # encapsulation: CDR, little-endian
 _ROWS = 4096  # messages written at once
+MADE_TYPES = "log_msgs/msg/"  # begins the names of types that are made for topics
 
 # The first that fits counts: a table of `linear` and `angular` is a Twist rather than an Accel.
 _CANDIDATES = (
@@ -75,7 +76,7 @@ def made_type(topic: str) -> str:
     """
     words = re.findall(r"[A-Za-z0-9]+", topic)
     name = "".join(word[0].upper() + word[1:] for word in words)
-    return f"log_msgs/msg/{name if name[:1].isalpha() else f'Topic{name}'}"
+    return f"{MADE_TYPES}{name if name[:1].isalpha() else f'Topic{name}'}"
 
 
 def field_name(column: str) -> str:
