@@ -72,8 +72,7 @@ def chosen_modes(environment: Mapping[str, str]) -> list[str]:
     ConfigurationError
         If a part of it matches no mode.
     """
-    text = environment.get("ORACLE_MODES") or ALL
-    wanted = [part.strip() for part in text.split(",")]
+    wanted = [part.strip() for part in (environment.get("ORACLE_MODES") or ALL).split(",")]
     named = {part: [mode for mode in modes() if _is_named(mode, part)] for part in wanted}
     if empty := [part for part, found in named.items() if not found]:
         raise ConfigurationError(

@@ -217,6 +217,8 @@ class RawReader:
 
     Attributes
     ----------
+    guid : bytes
+        Its identifier on the network, 16 bytes.
     lost : int
         Messages that arrived, and were replaced by newer ones before they were taken.
     """
@@ -237,11 +239,7 @@ class RawReader:
         self.topic, self.entity = _endpoint(
             reader, "subscribe to", participant, name, msgtype, qos, store, self._arrived
         )
-
-    @property
-    def guid(self) -> bytes:
-        """Its identifier on the network, 16 bytes."""
-        return bytes(self.entity.guid.bytes)
+        self.guid = bytes(self.entity.guid.bytes)
 
     def take(self) -> list[Raw]:
         """Return some of the received messages; an empty list if there is none."""
@@ -266,7 +264,7 @@ def _foreign_reader(participant: Participant, named: Any, qos: "DdsQos") -> Any:
 
 
 class RawWriter:
-    """Sends bytes as the messages of a topic; the parameters are as for `RawReader`."""
+    """Sends bytes as the messages of a topic; parameters and `guid` are as for `RawReader`."""
 
     def __init__(
         self,
@@ -279,11 +277,7 @@ class RawWriter:
         self._topic, self._entity = _endpoint(
             pub.DataWriter, "publish", participant, name, msgtype, qos, store
         )
-
-    @property
-    def guid(self) -> bytes:
-        """Its identifier on the network, 16 bytes."""
-        return bytes(self._entity.guid.bytes)
+        self.guid = bytes(self._entity.guid.bytes)
 
     def write(self, data: bytes) -> None:
         """Send CDR bytes, encapsulation header included."""

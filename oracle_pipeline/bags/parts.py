@@ -18,10 +18,10 @@ from oracle_pipeline.bags.compression import ZSTD_MAGIC, unpacked_file
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import LARGEST_YAML
 from oracle_pipeline.bags.part import Part, ros2_name
+from oracle_pipeline.bags.terminal import join_first
 
 METADATA = "metadata.yaml"
 NO_CHECKSUM = "This format has no checksum: a changed byte in a message cannot be noticed."
-_MOST_DIFFERENT = 5  # topics that are named
 _TOLERANCE_NS = 1_000_000_000  # between times of the metadata and of messages
 _LFS_POINTER = b"version https://git-lfs"  # begins the text that stands for a file in a repository
 
@@ -103,8 +103,8 @@ def _open_folder(folder: Path, found: Parts) -> None:
         named = [group for group in groups.values() if any(each.name in listed for each in group)]
         if len(named) != 1:
             raise BagError(
-                f"{folder} holds several recordings: {', '.join(each.name for each in files[:5])}"
-                f"{', ...' if len(files) > 5 else ''}. Name one of them."
+                f"{folder} holds several recordings: {join_first([each.name for each in files])}. "
+                "Name one of them."
             )
         strangers = [each.name for each in files if each not in named[0]]
         found.notes.append(f"{', '.join(strangers)}: of another recording; not read.")
@@ -214,11 +214,10 @@ def _differing_counts(claimed: Counter[str], read: Counter[str]) -> list[str]:
     differing = sorted(name for name in claimed | read if claimed[name] != read[name])
     if not claimed or not differing:
         return []
-    named = [f"{name} {read[name]} of {claimed[name]}" for name in differing[:_MOST_DIFFERENT]]
-    more = len(differing) - len(named)
+    named = [f"{name} {read[name]} of {claimed[name]}" for name in differing]
     return [
         f"{METADATA} claims {claimed.total()} messages, and the files have {read.total()}: "
-        f"{', '.join(named)}{f' and {more} more topics' if more > 0 else ''}."
+        f"{join_first(named)}."
     ]
 
 

@@ -34,6 +34,7 @@ class _Printable(dict[int, str | int]):
 
 
 _PRINTABLE = _Printable()
+_LISTED = 5  # words
 _RESET = "\x1b[0m"  # of a terminal's colours
 
 
@@ -45,6 +46,18 @@ def printable(text: str) -> str:
 def count_of(number: int, noun: str) -> str:
     """Return a number of things in words: ``1 run``, ``2 runs``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def join_first(words: Sequence[str]) -> str:
+    """Return the first five words in a list, and how many more there are.
+
+    Examples
+    --------
+    >>> join_first(["/a", "/b"]), join_first([f"/{n}" for n in range(8)])
+    ('/a, /b', '/0, /1, /2, /3, /4 and 3 more')
+    """
+    more = f" and {len(words) - _LISTED} more" if len(words) > _LISTED else ""
+    return f"{', '.join(words[:_LISTED])}{more}"
 
 
 def aligned_lines(rows: Sequence[Sequence[str]], *, indent: str = "") -> Iterator[str]:

@@ -13,6 +13,7 @@ from oracle_pipeline.comparison.set_comparison import (
     fewest,
 )
 from oracle_pipeline.scoring.junit import TestCase, junit_document
+from oracle_pipeline.scoring.sentences import told_apart
 
 EXIT_CODES: dict[ComparisonOutcome, int] = {"same": 0, "different": 1, "unsupported": 2}
 SHOWN = 20  # differences in a text; JSON has all
@@ -81,9 +82,10 @@ def _title(comparison: SetComparison) -> str:
     first, more = comparison.differences[0], len(comparison.differences) - 1
     unit = "" if first.unit == "1" else f" {first.unit}"
     others = f", and {count_of(more, 'more feature')} changed" if more else ""
+    values = " to ".join(told_apart(first.first, first.second))
     return (
-        f"The behaviour changed: {_code(first.feature)} went from {first.first:.3g} to "
-        f"{first.second:.3g}{unit} (p = {first.p_value:.2g}){others}"
+        f"The behaviour changed: {_code(first.feature)} went from {values}{unit} "
+        f"(p = {first.p_value:.2g}){others}"
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.terminal import join_first
 from oracle_pipeline.datasets import DatasetError, is_hard_negative
 from oracle_pipeline.evaluation.card_verdicts import RATE, card_verdicts
 from oracle_pipeline.evaluation.estimate import NOTHING, Estimate
@@ -69,7 +70,7 @@ def kill_matrix(campaign: MeasuredRuns, grid: MeasuredRuns, seed: int) -> pd.Dat
     absent = [c for c in (*REQUIRED, *sets["all"]) if c not in grid.features.columns]
     if absent:
         raise DatasetError(
-            f"The grid lacks the columns {', '.join(absent[:5])}; use the index that "
+            f"The grid lacks the columns {join_first(absent)}; use the index that "
             "`oracle-sim grid` writes, and extract its features with the campaign's plugins."
         )
     runs = campaign.concat(grid)

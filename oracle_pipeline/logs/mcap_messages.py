@@ -2,17 +2,20 @@
 
 import json
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from numpy.typing import NDArray
 
 from oracle_pipeline.logs.log import Log, LogError, LogTopic, reading
 
-_MOST_ELEMENTS = 64  # of an array; longer ones are images or clouds, and not used
+_MOST_ELEMENTS = 64  # of an array whose elements are columns
+_LARGEST = 4096  # numbers of an array; longer ones are images or clouds, and not used
 
 
 def read_mcap(path: Path) -> Log:
@@ -40,10 +43,7 @@ def read_mcap(path: Path) -> Log:
     log = Log([])
     for topic, messages in rows.items():
         names = dict.fromkeys(name for message in messages for name in message)
-        columns = {
-            name: np.array([message.get(name, np.nan) for message in messages], dtype=np.float64)
-            for name in names
-        }
+        columns = {name: _column([each.get(name, np.nan) for each in messages]) for name in names}
         if columns:
             log.topics.append(LogTopic(topic, np.array(stamps[topic], dtype=np.int64), columns))
         else:
@@ -66,8 +66,16 @@ def _value(value: Any) -> Any:
     return [_value(element) for element in value]
 
 
-def _numbers(content: Any, path: str = "") -> Iterator[tuple[str, float]]:
-    """Yield the numbers in nested mappings and lists, with their paths."""
+def _column(values: Sequence[Any]) -> NDArray[np.float64]:
+    """Return numbers, or arrays of numbers that may differ in length, as rows."""
+    rows = np.full((len(values), max(map(np.size, values))), np.nan)
+    for row, value in zip(rows, values, strict=True):
+        row[: np.size(value)] = value
+    return rows if rows.shape[1] > 1 else rows[:, 0]
+
+
+def _numbers(content: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield numbers in nested mappings and lists, and long lists of numbers, with their paths."""
     if isinstance(content, dict):
         for name, value in content.items():
             yield from _numbers(value, f"{path}.{name}" if path else str(name))
@@ -76,3 +84,6 @@ def _numbers(content: Any, path: str = "") -> Iterator[tuple[str, float]]:
             yield from _numbers(value, f"{path}[{index}]")
     elif isinstance(content, bool | int | float):
         yield path, float(content)
+    elif isinstance(content, list) and len(content) <= _LARGEST:
+        with suppress(TypeError, ValueError):
+            yield path, np.array(content, np.float64)

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.terminal import join_first
 from oracle_pipeline.datasets import (
     MISSING,
     feature_columns,
@@ -15,11 +16,9 @@ from oracle_pipeline.datasets import (
     signal_columns,
     topic_of_signal,
 )
-from oracle_pipeline.features.signals.collector import MOST_OF_TOPIC
 from oracle_pipeline.scoring.verdict import ScoringError
 
 _PRESENT = ".missing"  # ends the column of every number that a recording has
-LISTED = 5  # most features or reasons named in a note
 
 
 def shared_features(
@@ -69,7 +68,7 @@ def given_numbers(df: pd.DataFrame) -> pd.DataFrame:
 def lacking_numbers(own: pd.DataFrame, usual: pd.DataFrame) -> dict[str, str]:
     """Return the numbers that all usual runs have, and not all others have, by topic.
 
-    Topics without any number are left out, and those of which not all numbers were taken.
+    Topics without any number are left out.
 
     Parameters
     ----------
@@ -81,14 +80,9 @@ def lacking_numbers(own: pd.DataFrame, usual: pd.DataFrame) -> dict[str, str]:
     of_topic = Counter(map(topic_of_signal, has))
     for number in sorted(wanted - has):
         topic = topic_of_signal(number)
-        if 1 < of_topic[topic] < MOST_OF_TOPIC:  # one is the time between messages
+        if of_topic[topic] > 1:  # one is the time between messages
             lacking.setdefault(topic, []).append(number.rpartition("/")[2])
     return {topic: join_first(names) for topic, names in lacking.items()}
-
-
-def join_first(words: Sequence[str]) -> str:
-    """Return the first `LISTED` words as a comma-separated list."""
-    return ", ".join([*words[:LISTED], *(["..."] if len(words) > LISTED else [])])
 
 
 def same_kind(table: pd.DataFrame, columns: Sequence[str]) -> NDArray[np.bool_]:

@@ -497,7 +497,7 @@ def _of_rate(
     too_few = rate_hz is None and lowest_hz * duration_s < FEWEST
     if too_few or lowest_hz <= (rate_hz or 0.0) <= highest_hz:
         return []
-    usual = _range(terms.lowest_hz, terms.highest_hz)
+    usual = " to ".join(dict.fromkeys(f"{hz:.3g}" for hz in (terms.lowest_hz, terms.highest_hz)))
     text = f"Topic {name} has {rate_hz or 0.0:.3g} Hz instead of {usual} Hz."
     breach = Breach(name, text, "rate")
     if rate_hz and terms.lowest_hz / STEADY <= rate_hz <= terms.highest_hz * STEADY:
@@ -525,11 +525,6 @@ def _is_close(text: str, usual: str) -> bool:
         return False
     numbers, others = (np.array(_NUMBER.findall(each), dtype=np.float64) for each in (text, usual))
     return bool(np.allclose(numbers, others, rtol=ROUNDED, atol=0.0))
-
-
-def _range(low: float, high: float) -> str:
-    texts = dict.fromkeys(f"{value:.3g}" for value in (low, high))
-    return " to ".join(texts)
 
 
 def _rate(count: int, duration_s: float) -> float | None:

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from oracle_pipeline.bags.terminal import join_first
 from oracle_pipeline.datasets import SIGNALS, topic_of_signal
 from oracle_pipeline.robots.robot import SHARED_TYPES
-from oracle_pipeline.scoring.comparable import join_first
 from oracle_pipeline.scoring.contract import Contract, Observation
 
 LEAST = 0.4  # in common; other kinds of robots have up to a third, a half without one of two topics

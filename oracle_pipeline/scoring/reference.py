@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.parts import NO_CHECKSUM, is_recording
-from oracle_pipeline.bags.terminal import printable
+from oracle_pipeline.bags.terminal import join_first, printable
 from oracle_pipeline.datasets import KEYS, feature_dataset, read_table, window_dataset
 from oracle_pipeline.features import FeatureManager, FeatureTables
 from oracle_pipeline.logs.formats import recordings_below
 from oracle_pipeline.robots.robot import recording_of
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.blocks import Origin, blocks
-from oracle_pipeline.scoring.comparable import join_first
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.isolation import Reading, extract_each
 from oracle_pipeline.scoring.verdict import ScoringError

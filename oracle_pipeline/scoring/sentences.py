@@ -66,9 +66,8 @@ def sentence(evidence: Evidence) -> str:
     'The robot turned 0.29 rad in all; normal runs turn 1.1 to 1.6 rad.'
     """
     unit = "" if evidence.unit in ("1", "") else f" {evidence.unit.replace('1/', 'per ', 1)}"
-    value = f"{rounded(evidence.value, 3)}{unit}"
-    usual = f"{rounded(evidence.usual_low, 3)} to {rounded(evidence.usual_high, 3)}{unit}"
-    text = _text(evidence, value, usual)
+    own, low, high = told_apart(evidence.value, evidence.usual_low, evidence.usual_high)
+    text = _text(evidence, f"{own}{unit}", f"{low} to {high}{unit}")
     return f"{text}{_when(evidence)}."
 
 
@@ -81,6 +80,18 @@ def rounded(value: float, digits: int = 4) -> str:
     ['0.01235', '0', '0']
     """
     return f"{value:.{digits}g}" if abs(value) > _ROUNDING else "0"
+
+
+def told_apart(*values: float) -> list[str]:
+    """Return values with at least three digits, and more where they would look the same.
+
+    Examples
+    --------
+    >>> told_apart(86.81, 84.98, 85.02)
+    ['86.81', '84.98', '85.02']
+    """
+    texts = [[rounded(value, digits) for value in values] for digits in range(3, 7)]
+    return max(texts, key=lambda some: len(set(some)))
 
 
 def _when(evidence: Evidence) -> str:

@@ -11,13 +11,13 @@ from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.limits import LARGEST_DECODED
 from oracle_pipeline.bags.merging import Messages, Rows
 from oracle_pipeline.bags.reader import BagReader, Topic
+from oracle_pipeline.bags.terminal import join_first
 from oracle_pipeline.features.engine.columns import SerializedMessages
 from oracle_pipeline.features.signals.fields import Numbers, numbers_of
 from oracle_pipeline.robots.robot import Robot
 from oracle_pipeline.robots.roles import is_static
 
-MOST_OF_TOPIC = 48  # signals of one topic
-MOST_SIGNALS = 320  # of a recording
+MOST_SIGNALS = 1024  # of a recording
 CUT = f"The recording has more than {MOST_SIGNALS} signals"  # begins a note
 MOST_BYTES = 32 * 2**20  # of the messages of a topic that are decoded; the others are passed over
 MOST_MESSAGES = 20_000  # of a topic that are decoded
@@ -105,8 +105,8 @@ class _Topic:
         if len(rows):
             columns = batch.columns()
             for each in numbers_of(
-                columns, self._store, self._msgtype, MOST_OF_TOPIC, static=self._is_static
-            ):
+                columns, self._store, self._msgtype, MOST_SIGNALS + 1, static=self._is_static
+            ):  # one more tells that some are left out
                 self.found.append(each._replace(rows=rows[each.rows]))
 
     @property
@@ -164,18 +164,16 @@ class SignalCollector:
         left = MOST_SIGNALS
         cut: list[str] = []
         for number in sorted(self._numbers, key=self._order):
+            name = self._names[number]
             for numbers in self._decoded(number):
                 if len(numbers.names) > left:
-                    cut.append(self._names[number])
-                    continue
-                left -= len(numbers.names)
-                found.append(_in_time(self._names[number], numbers, times_ns))
-            if of_topic := self._numbers.get(number):
-                found.append(_periods(self._names[number], times_ns[np.concatenate(of_topic)]))
-        if cut:
-            topics = list(dict.fromkeys(cut))
-            some = f"{len(topics)} topics, such as {', '.join(topics[:5])}"
-            self.notes.append(f"{CUT}; those of {some}, are left out.")
+                    cut.append(name)
+                if left:
+                    found.append(_in_time(name, numbers, times_ns, left))
+                    left -= len(found[-1].names)
+            found.append(_periods(name, times_ns[np.concatenate(self._numbers[number])]))
+        if topics := list(dict.fromkeys(cut)):
+            self.notes.append(f"{CUT}; some of {join_first(topics)} are left out.")
         return sorted(found, key=lambda signals: signals.topic)
 
     def _order(self, number: int) -> tuple[int, str]:
@@ -210,7 +208,9 @@ def _periods(topic: str, times_ns: NDArray[np.int64]) -> Signals:
     return Signals(topic, ("period",), ("s",), in_order[1:], np.diff(in_order)[:, None] * 1e-9)
 
 
-def _in_time(topic: str, numbers: Numbers, times_ns: NDArray[np.int64]) -> Signals:
+def _in_time(topic: str, numbers: Numbers, times_ns: NDArray[np.int64], most: int) -> Signals:
+    """Return the first numbers of a topic in the order of time."""
     of_rows = times_ns[numbers.rows]
     order = np.argsort(of_rows, kind="stable")
-    return Signals(topic, numbers.names, numbers.units, of_rows[order], numbers.values[order])
+    names, units = numbers.names[:most], numbers.units[:most]
+    return Signals(topic, names, units, of_rows[order], numbers.values[order, :most])

@@ -1,12 +1,13 @@
 """Takes the numbers out of many messages of one type, each under the name of its field.
 
 A number is treated as what it is. Stamps and texts are left out. A quaternion becomes roll, pitch,
-yaw and norm, a covariance its trace. Short arrays are signals by index, or by label where the
-message has labels. Of a long array there are mean, spread, minimum, maximum and the share of finite
-numbers. Transforms are signals by their pair of frames. Their rotations are the axes of the child,
-because links of an arm pass the poles, where roll and yaw flip by half a turn.
+yaw and norm, a covariance its trace. Arrays are signals by label where the message has labels,
+and by index if they are short. Of others there are mean, spread, minimum, maximum and the share of
+finite numbers. Transforms are signals by their pair of frames. Their rotations are the axes of the
+child, because links of an arm pass the poles, where roll and yaw flip by half a turn.
 """
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, TypeAlias
@@ -20,7 +21,7 @@ from oracle_pipeline.features.engine.columns import Columns
 from oracle_pipeline.features.engine.common_fields import frame_names
 from oracle_pipeline.features.signals.units import UNITS
 
-MOST_ELEMENTS = 32  # of an array whose elements are signals; of longer ones there is a summary
+MOST_ELEMENTS = 64  # of an array without labels whose elements are signals
 MOST_SUMMARISED = 2048  # numbers of an array that its summary samples, spread evenly
 MOST_DEPTH = 8  # of nested types
 SUMMARY = ("mean", "spread", "min", "max", "finite")
@@ -57,15 +58,11 @@ def numbers_of(
     msgtype : str
         Of the messages.
     most : int
-        Largest number of signals of the topic.
+        Largest number of signals.
     static : bool
         Whether transforms never change: only norms are signals, the contract holds the rest.
     """
-    fields = []
-    for each in _fields(messages, store, msgtype, "", "", 0):
-        fields.append(each)
-        if len(fields) == most:
-            break
+    fields = list(itertools.islice(_fields(messages, store, msgtype, "", "", 0), most))
     found = [_together(fields, np.arange(len(messages)))] if fields else []
     return [*found, *_transforms(messages, store, msgtype, most, static)]
 
@@ -142,7 +139,7 @@ def _array(arrays: Any, path: str, unit: str, labels: Sequence[str]) -> Iterator
         return
     if "covariance" in path.rpartition(".")[2]:
         yield f"{path}.trace", "", _traces(arrays)
-    elif longest <= MOST_ELEMENTS:
+    elif longest <= MOST_ELEMENTS or longest == len(labels):
         padded = np.full((len(arrays), longest), np.nan)
         for length in np.unique(lengths[lengths > 0]).tolist():
             of_length = np.flatnonzero(lengths == length)

@@ -12,9 +12,10 @@ from oracle_pipeline.bags.types import message_class
 from oracle_pipeline.datasets import signal_columns
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.features.engine.spans import Span
-from oracle_pipeline.features.signals.collector import MOST_OF_TOPIC, MOST_SIGNALS, Signals
+from oracle_pipeline.features.signals.collector import CUT, MOST_SIGNALS, Signals
 from oracle_pipeline.features.signals.statistics import OF_RUN, SignalTable
 from oracle_pipeline.opened_run import open_run
+from tests.oracle_pipeline.features.scenery import header
 from tests.oracle_pipeline.features.test_transforms import transform
 
 MANAGER = build_manager()
@@ -107,6 +108,17 @@ def test_each_joint_of_a_humanoid_is_a_signal_of_an_array_without_names(bag_of):
     assert set(angles) <= set(levels)
 
 
+def test_each_joint_of_a_humanoid_with_fingers_counts_by_its_name(bag_of):
+    make = message_class("sensor_msgs/msg/JointState")
+    names, numbers = [f"joint_{n}" for n in range(43)], np.arange(43.0)
+    found = signals_of(bag_of([
+        (n * 0.1, "/joint_states", make(header(n * 0.1, ""), names, numbers, numbers, numbers))
+        for n in range(60)
+    ]))  # fmt: skip
+    for field in ("position", "velocity", "effort"):
+        assert found[f"signals./joint_states/{field}[joint_42].mean"] == 42.0
+
+
 def test_links_that_pass_the_pole_on_either_side_have_the_same_signals(bag_of):
     angles = np.linspace(1.2, 1.9, COUNT)
     found = signals_of(bag_of([
@@ -139,14 +151,28 @@ def test_robot_without_features_of_its_own_has_hundreds_of_signals(tmp_path):
     assert len(signals_of(logged(tmp_path, **columns))) >= 120
 
 
+@pytest.mark.parametrize("columns", [120, MOST_SIGNALS, MOST_SIGNALS + 7])
+def test_each_column_of_a_wide_table_counts_or_a_note_says_so(tmp_path, columns):
+    table = {"time": np.arange(9.0), **{f"f{n}": np.zeros(9) for n in range(columns)}}
+    pd.DataFrame(table).to_csv(tmp_path / "log.csv")
+    with open_run(tmp_path / "log.csv") as run:
+        found = features.extract(run, MANAGER)
+    counted = {column for column in signal_columns(found.run) if column.endswith(".mean")}
+    assert len(counted) == min(columns, MOST_SIGNALS) + 1  # the time between messages
+    cut = [note for note in found.notes if note.startswith(CUT)]
+    assert bool(cut) == (columns > MOST_SIGNALS)
+
+
 def test_of_too_many_signals_those_of_topics_with_many_messages_count(tmp_path):
-    fields = {f"f{n}": np.arange(60.0) for n in range(MOST_OF_TOPIC)}
-    for n in range(MOST_SIGNALS // MOST_OF_TOPIC + 2):
-        pd.DataFrame({"time": np.arange(60.0), **fields}).to_csv(tmp_path / f"a{n}.csv")
+    fields = {f"f{n}": np.arange(60.0) for n in range(MOST_SIGNALS // 2)}
+    for topic in "abc":
+        pd.DataFrame({"time": np.arange(60.0), **fields}).to_csv(tmp_path / f"{topic}.csv")
     fast = {"time": np.arange(600) * 0.1, "rate": np.zeros(600)}
     pd.DataFrame(fast).to_csv(tmp_path / "z.csv")
     with open_run(tmp_path) as run:
         found = features.extract(run, MANAGER)
     assert "signals./z/rate.mean" in found.run
-    (note,) = [note for note in found.notes if "signals" in note]
-    assert note.endswith("are left out.")
+    (note,) = [note for note in found.notes if note.startswith(CUT)]
+    assert "/b" in note
+    assert "/c" in note
+    assert "/a" not in note

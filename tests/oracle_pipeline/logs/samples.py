@@ -4,6 +4,7 @@ import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -91,7 +92,11 @@ def dataflash(folder: Path, field: bytes = b"TimeUS", unit_s: float = 1e-6) -> P
     return path
 
 
-def mcap_json(folder: Path) -> Path:
+def attitude(value: float) -> dict[str, Any]:
+    return {"angles": {"roll": value}}
+
+
+def mcap_json(folder: Path, content: Callable[[float], dict[str, Any]] = attitude) -> Path:
     path = folder / "flight.mcap"
     with path.open("wb") as sink:
         writer = Writer(sink)
@@ -99,7 +104,7 @@ def mcap_json(folder: Path) -> Path:
         schema = writer.register_schema("Attitude", "jsonschema", b"{}")
         channel = writer.register_channel("/attitude", "json", schema)
         for time_s, value in zip(TIMES_S, SIGNAL, strict=True):
-            data = json.dumps({"angles": {"roll": value}}).encode()
+            data = json.dumps(content(float(value))).encode()
             writer.add_message(channel, int(time_s * 1e9), data, int(time_s * 1e9))
         writer.finish()
     return path

@@ -49,6 +49,17 @@ def test_what_px4_published_before_the_log_began_is_at_its_beginning(tmp_path):
     assert len(stamps) == samples.COUNT
 
 
+def test_a_scan_in_json_counts_whatever_its_length(tmp_path):
+    def scan(value):
+        return {"ranges": [1.0] * 300 + [2.0 + value] * (60 if value < 0.5 else 61)}
+
+    with open_run(samples.mcap_json(tmp_path, scan)) as run:
+        rows = [run.bag.deserialize(message).ranges for message in run.bag.messages()]
+    found = np.array(rows)
+    np.testing.assert_array_equal(found[:, 359], 2.0 + samples.SIGNAL)
+    np.testing.assert_array_equal(np.isnan(found[:, 360]), samples.SIGNAL < 0.5)
+
+
 @pytest.mark.parametrize("field", [b"TimeMS", b"T"])
 def test_dataflash_of_old_releases_has_its_time_in_milliseconds(field, tmp_path):
     with open_run(samples.dataflash(tmp_path, field, 1e-3)) as run:

@@ -53,6 +53,12 @@ def test_signals_of_any_robot_have_a_sentence_with_topic_and_size(signal, words)
     assert "normal runs have 0.5 to 1" in told
 
 
+def test_numbers_that_differ_never_look_the_same():
+    volt = evidence("signals./log/volt.mean")
+    told = sentence(replace(volt, value=86.8, usual_low=84.98, usual_high=85.02))
+    assert "is 86.8 m; normal runs have 84.98 to 85.02 m" in told
+
+
 def test_feature_without_a_phrase_is_called_a_statistic():
     assert sentence(evidence("my_plugin.value")).startswith(
         "Only a statistic is unusual: my_plugin"
