@@ -182,8 +182,7 @@ class SignalCollector:
 
     def _decoded(self, number: int) -> Iterator[Numbers]:
         """Yield the numbers in the messages of a topic; none if its type is unknown or wrong."""
-        topic = self._topics.get(number)
-        if topic is not None:
+        if topic := self._topics.get(number):
             topic.decode()
             if topic.is_sound:
                 yield from _joined(topic.found)

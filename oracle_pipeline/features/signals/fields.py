@@ -23,12 +23,10 @@ from oracle_pipeline.features.signals.units import UNITS
 
 MOST_ELEMENTS = 64  # of an array without labels whose elements are signals
 MOST_SUMMARISED = 2048  # numbers of an array that its summary samples, spread evenly
-MOST_DEPTH = 8  # of nested types
 SUMMARY = ("mean", "spread", "min", "max", "finite")
-_SKIPPED = {"builtin_interfaces/msg/Time", "std_msgs/msg/Header"}
+_SKIPPED = {"builtin_interfaces/msg/Time", "std_msgs/msg/Header", "std_msgs/msg/MultiArrayLayout"}
 _QUATERNION = "geometry_msgs/msg/Quaternion"
 _DURATION = "builtin_interfaces/msg/Duration"
-_LAYOUT = "std_msgs/msg/MultiArrayLayout"
 _LABELS = ("name", "names", "joint_names")  # of arrays in the same message
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -62,7 +60,7 @@ def numbers_of(
     static : bool
         Whether transforms never change: only norms are signals, the contract holds the rest.
     """
-    fields = list(itertools.islice(_fields(messages, store, msgtype, "", "", 0), most))
+    fields = list(itertools.islice(_fields(messages, store, msgtype), most))
     found = [_together(fields, np.arange(len(messages)))] if fields else []
     return [*found, *_transforms(messages, store, msgtype, most, static)]
 
@@ -73,10 +71,10 @@ def _together(fields: Sequence[_Field], rows: NDArray[np.int64]) -> Numbers:
 
 
 def _fields(
-    messages: Columns, store: Typestore, msgtype: str, path: str, unit: str, depth: int
+    messages: Columns, store: Typestore, msgtype: str, path: str = "", unit: str = ""
 ) -> Iterator[_Field]:
     """Yield the numbers in the fields of a type, in the order of its definition."""
-    if depth > MOST_DEPTH or msgtype in _SKIPPED or msgtype == _LAYOUT:
+    if msgtype in _SKIPPED:
         return
     if msgtype == _QUATERNION:
         yield from _rotation(messages, path)
@@ -89,17 +87,16 @@ def _fields(
     for name, (kind, what) in definition:
         own, of = f"{path}.{name}" if path else name, UNITS.get((msgtype, name), unit)
         if kind == Nodetype.NAME:
-            yield from _fields(getattr(messages, name), store, str(what), own, of, depth + 1)
+            yield from _fields(getattr(messages, name), store, str(what), own, of)
         elif kind == Nodetype.BASE:
             if what[0] != "string":
                 yield own, of, np.asarray(getattr(messages, name), dtype=np.float64)
         elif what[0][0] == Nodetype.BASE:
             if what[0][1][0] != "string":
                 yield from _array(getattr(messages, name), own, of, labels)
-        else:
-            yield from _elements(
-                getattr(messages, name), store, str(what[0][1]), own, len(messages)
-            )
+        elif not _is_transform(store, str(what[0][1])):  # these are signals by their frames
+            part = _each if kind == Nodetype.ARRAY else _means
+            yield from part(getattr(messages, name), store, str(what[0][1]), own, len(messages))
 
 
 def _rotation(q: Columns, path: str) -> Iterator[_Field]:
@@ -175,15 +172,19 @@ def _summaries(arrays: Any) -> Floats:
     return found
 
 
-def _elements(
+def _each(
     elements: Columns, store: Typestore, msgtype: str, path: str, count: int
 ) -> Iterator[_Field]:
-    """Yield the length of a sequence of messages, and the means of their numbers.
+    """Yield the numbers of each message of an array, such as the motors of a robot."""
+    for name, unit, values in _fields(elements, store, msgtype):
+        for index, column in enumerate(values.reshape(count, -1).T):
+            yield f"{path}[{index}].{name}", unit, column
 
-    Transforms have others: how many are in a message depends on whose message comes next.
-    """
-    if _is_transform(store, msgtype):
-        return
+
+def _means(
+    elements: Columns, store: Typestore, msgtype: str, path: str, count: int
+) -> Iterator[_Field]:
+    """Yield the length of a sequence of messages, and the means of their numbers."""
     sizes = np.bincount(elements.owners, minlength=count).astype(np.float64)
     yield f"{path}.length", "1", sizes
     if not len(elements):
@@ -230,7 +231,7 @@ def _transforms(
         place, rotation = each.transform.translation, each.transform.rotation
         fields = [("rotation.norm", "1", _unit(rotation)[1])]
         if not static:
-            fields += _fields(place, store, "geometry_msgs/msg/Vector3", "translation", "m", 0)
+            fields += _fields(place, store, "geometry_msgs/msg/Vector3", "translation", "m")
             fields += _axes(rotation, "rotation")
         for pair in np.unique(pairs)[: max(1, most // max(len(fields), 1))].tolist():
             of_pair = np.flatnonzero(pairs == pair)

@@ -8,7 +8,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from oracle_pipeline import features
-from oracle_pipeline.bags.types import message_class
+from oracle_pipeline.bags.cdr import ENCAPSULATION
+from oracle_pipeline.bags.types import TypeDefinition, message_class
+from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.datasets import signal_columns
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.features.engine.spans import Span
@@ -106,6 +108,17 @@ def test_each_joint_of_a_humanoid_is_a_signal_of_an_array_without_names(bag_of):
     found = signals_of(bag_of([(n * 0.1, "/joints", make(layout, angles)) for n in range(60)]))
     levels = [value for name, value in found.items() if name.endswith(".mean")]
     assert set(angles) <= set(levels)
+
+
+def test_each_motor_of_a_robot_counts_by_its_place_in_the_message(tmp_path):
+    definition = f"made_msgs/Motor[3] motors\n{'=' * 80}\nMSG: made_msgs/Motor\nfloat64[2] q\n"
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/state", "made_msgs/msg/State", [], TypeDefinition(definition, ""))
+        for n in range(60):
+            bag.write("/state", n * 10**8, ENCAPSULATION + np.arange(n, n + 6.0).tobytes())
+    found = signals_of(tmp_path / "bag")
+    assert found["signals./state/motors[0].q[0].min"] == 0.0
+    assert found["signals./state/motors[2].q[1].max"] == 64.0
 
 
 def test_each_joint_of_a_humanoid_with_fingers_counts_by_its_name(bag_of):
