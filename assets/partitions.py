@@ -73,17 +73,16 @@ def chosen_modes(environment: Mapping[str, str]) -> list[str]:
         If a part of it matches no mode.
     """
     wanted = [part.strip() for part in (environment.get("ORACLE_MODES") or ALL).split(",")]
-    named = {part: [mode for mode in modes() if _is_named(mode, part)] for part in wanted}
+    named = {
+        part: [mode for mode in modes() if fnmatchcase(mode, part) or testbed_of(mode) == part]
+        for part in wanted
+    }
     if empty := [part for part, found in named.items() if not found]:
         raise ConfigurationError(
             f"ORACLE_MODES: {empty[0]!r} matches no mode; give modes, with * as wildcard, or "
             f"testbeds ({', '.join(TESTBEDS)}), separated by commas."
         )
     return [mode for mode in modes() if any(mode in found for found in named.values())]
-
-
-def _is_named(mode: str, part: str) -> bool:
-    return fnmatchcase(mode, part) or testbed_of(mode) == part
 
 
 def runs_of_modes(

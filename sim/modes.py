@@ -106,11 +106,8 @@ def _of_testbed(name: str, testbed: Testbed, taken: Collection[str]) -> list[Mod
         scenarios[wanted] = scenario if which_testbed(scenario) == name else scenario.on(name)
     experiments = [scenarios[each] for each in testbed.experiments]
     hard = (Mode(scenarios[each], what) for each, what in testbed.hard_negatives.items())
-    return [*map(Mode, [*experiments, *_shadows(experiments)]), *hard]
-
-
-def _shadows(scenarios: Iterable[Scenario]) -> list[Scenario]:
-    return [scenario.as_shadow() for scenario in scenarios if scenario.label == "malicious"]
+    shadows = [each.as_shadow() for each in experiments if each.label == "malicious"]
+    return [*map(Mode, [*experiments, *shadows]), *hard]
 
 
 def _in_folder(

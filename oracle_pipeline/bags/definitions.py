@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 from oracle_pipeline.bags import types
-from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.errors import BagError, one_line
 from oracle_pipeline.bags.limits import LARGEST_DEFINITION, MOST_FIELDS
 from oracle_pipeline.bags.part import Channel
 from oracle_pipeline.bags.types import TypeDefinition
@@ -100,9 +100,8 @@ class BagTypes:
             except Exception as error:  # the text of a definition may be anything
                 if known:  # genpy broke comments that have a backslash
                     return types.typestore()
-                reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
                 raise BagError(
-                    f"{self._path} has an unusable definition of {msgtype}: {reason[:200]}. "
+                    f"{self._path} has an unusable definition of {msgtype}: {one_line(error)}. "
                     "Its messages can only be read raw."
                 ) from error
         if known:

@@ -29,6 +29,11 @@ class DdsError(OracleError):
     """A DDS domain cannot be joined, or a topic there cannot be read or published."""
 
 
+def one_line(error: Exception) -> str:
+    """Return what an error of other software says, short and without a full stop."""
+    return " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
+
+
 @contextmanager
 def as_bag_error(path: Path, file: Path) -> Iterator[None]:
     """Turn any error while opening or reading a foreign file into a `BagError`.
@@ -49,7 +54,6 @@ def as_bag_error(path: Path, file: Path) -> Iterator[None]:
     except MemoryError as error:
         raise BagError(f"{file} needs more memory than is free; split it.") from error
     except Exception as error:  # parsers of corrupt files raise anything
-        reason = str(error).rstrip(".") or type(error).__name__
         raise BagError(
-            f"{file} is corrupt: {reason}. Copy it again, or record it again."
+            f"{file} is corrupt: {one_line(error)}. Copy it again, or record it again."
         ) from error

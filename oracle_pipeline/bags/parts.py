@@ -15,7 +15,7 @@ from typing import Any
 
 from oracle_pipeline.bags import bounded_yaml, mcap, rosbag1, sqlite
 from oracle_pipeline.bags.compression import ZSTD_MAGIC, unpacked_file
-from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.errors import BagError, one_line
 from oracle_pipeline.bags.limits import LARGEST_YAML
 from oracle_pipeline.bags.part import Part, ros2_name
 from oracle_pipeline.bags.terminal import join_first
@@ -243,7 +243,7 @@ class _Metadata:
                 text = source.read(LARGEST_YAML + 1).decode("utf-8", "replace")
             self._read(bounded_yaml.load(text)["rosbag2_bagfile_information"])
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            self.notes.append(f"{METADATA} is not used: {_one_line(error)}")
+            self.notes.append(f"{METADATA} is not used: {one_line(error)}.")
 
     def _read(self, information: Any) -> None:
         # Only the last part of a name is used, so that it cannot leave the folder.
@@ -284,8 +284,3 @@ class _Metadata:
                     f"The {name} message is {abs(own - claimed_ns) / 1e9:.1f} s "
                     f"{'later' if own > claimed_ns else 'earlier'} than {METADATA} says."
                 )
-
-
-def _one_line(error: Exception) -> str:
-    text = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-    return f"{text[:200]}."

@@ -101,6 +101,7 @@ def _dependencies(
     waiting, files = list(modules), dict[str, tuple[Path, Path]]()
     tops = {name.partition(".")[0] for name in waiting}
     roots = {top: _place(top) for top in tops.difference(PACKAGES)}  # of plug-ins
+    inside = tuple(f"{package}." for package in {*within, *roots})
     for name in waiting:
         place = roots.get(name.partition(".")[0], root)
         if _file(name, place) is None:
@@ -113,7 +114,7 @@ def _dependencies(
         files[name] = place, file
         package = name if file.name == _PACKAGE else name.rpartition(".")[0]
         imported = (_absolute(each, package) for each in _modules[file].imports)
-        waiting += [each for each in imported if _is_within(each, {*within, *roots})]
+        waiting += [each for each in imported if f"{each}.".startswith(inside)]
         waiting += _above(name)
     packages = [(place, file.parent) for place, file in files.values() if file.name == _PACKAGE]
     data = ((place, file) for place, at in packages for file in _files(at, is_package=True))
@@ -261,10 +262,6 @@ def _absolute(name: str, package: str) -> str:
 def _above(name: str) -> list[str]:
     parts = name.split(".")
     return [".".join(parts[:n]) for n in range(1, len(parts))]
-
-
-def _is_within(name: str, packages: Collection[str]) -> bool:
-    return any(name == package or name.startswith(f"{package}.") for package in packages)
 
 
 @functools.cache

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.terminal import join_first
 from oracle_pipeline.checks.topic import (
     FEWEST,
     CheckedSignal,
@@ -55,20 +56,18 @@ def stuck(topic: CheckedTopic) -> Iterator[Fault]:
         found = found[[_moves(lively, first) for first in found[:, 0].tolist()]]
     if len(found):
         spans = np.column_stack([times_s[found[:, 0]], times_s[found[:, 1]]])
-        names = ", ".join(signal.name for signal in lively[:3])
-        more = f" and {len(lively) - 3} more" if len(lively) > 3 else ""
+        names = join_first([signal.name for signal in lively])
         yield worst(
             "stuck", topic.name, "", spans, spans[:, 1] - spans[:, 0], "s",
-            f"{names}{more} do not change for {{size}} s from {{at}} on",
+            f"{names} do not change for {{size}} s from {{at}} on",
         )  # fmt: skip
 
 
 def _long(found: NDArray[np.int64], times_s: Floats) -> NDArray[np.int64]:
     """Return the stretches that are long, and much longer than all that are not."""
     lengths = found[:, 1] - found[:, 0]
-    is_long = (lengths >= _STUCK_MESSAGES) & (
-        times_s[found[:, 1]] - times_s[found[:, 0]] >= _STUCK_S
-    )
+    lasted_s = times_s[found[:, 1]] - times_s[found[:, 0]]
+    is_long = (lengths >= _STUCK_MESSAGES) & (lasted_s >= _STUCK_S)
     usual = int(lengths[~is_long].max(initial=1))
     return found[is_long & (lengths >= _LONGER * usual)]
 

@@ -82,9 +82,9 @@ def _title(comparison: SetComparison) -> str:
     first, more = comparison.differences[0], len(comparison.differences) - 1
     unit = "" if first.unit == "1" else f" {first.unit}"
     others = f", and {count_of(more, 'more feature')} changed" if more else ""
-    values = " to ".join(told_apart(first.first, first.second))
     return (
-        f"The behaviour changed: {_code(first.feature)} went from {values}{unit} "
+        f"The behaviour changed: {_code(first.feature)} went from "
+        f"{' to '.join(told_apart(first.first, first.second))}{unit} "
         f"(p = {first.p_value:.2g}){others}"
     )
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.errors import BagError, one_line
 
 
 class LogError(BagError):
@@ -27,8 +27,7 @@ def reading(path: Path, kind: str) -> Iterator[None]:
     except (LogError, ModuleNotFoundError):
         raise
     except Exception as error:
-        reason = " ".join(str(error).split()).rstrip(".")[:200] or type(error).__name__
-        raise LogError(f"{path} cannot be read as {kind}: {reason}.") from error
+        raise LogError(f"{path} cannot be read as {kind}: {one_line(error)}.") from error
 
 
 class LogTopic(NamedTuple):

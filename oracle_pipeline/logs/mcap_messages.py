@@ -2,7 +2,7 @@
 
 import json
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,7 @@ def read_mcap(path: Path) -> Log:
             else:
                 if channel.id not in decoders:
                     decoders[channel.id] = DecoderFactory().decoder_for("protobuf", schema)
-                content = _fields(decoders[channel.id](message.data))
+                content = decoders[channel.id](message.data)
             topic = channel.topic if channel.topic.startswith("/") else f"/{channel.topic}"
             rows[topic].append(dict(_numbers(content)))
             stamps[topic].append(message.log_time)
@@ -53,19 +53,6 @@ def read_mcap(path: Path) -> Log:
     return log
 
 
-def _fields(message: Any) -> dict[str, Any]:
-    """Return the fields of a Protobuf message, those with default values included."""
-    return {field.name: _value(getattr(message, field.name)) for field in message.DESCRIPTOR.fields}
-
-
-def _value(value: Any) -> Any:
-    if hasattr(value, "DESCRIPTOR"):
-        return _fields(value)
-    if isinstance(value, str | bytes | bool | int | float):
-        return value
-    return [_value(element) for element in value]
-
-
 def _column(values: Sequence[Any]) -> NDArray[np.float64]:
     """Return numbers, or arrays of numbers that may differ in length, as rows."""
     rows = np.full((len(values), max(map(np.size, values))), np.nan)
@@ -75,15 +62,19 @@ def _column(values: Sequence[Any]) -> NDArray[np.float64]:
 
 
 def _numbers(content: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield numbers in nested mappings and lists, and long lists of numbers, with their paths."""
-    if isinstance(content, dict):
+    """Yield the numbers in nested messages and lists, and long lists of numbers, with paths."""
+    if hasattr(content, "DESCRIPTOR"):  # of Protobuf, with the fields that have default values
+        content = {field.name: getattr(content, field.name) for field in content.DESCRIPTOR.fields}
+    if isinstance(content, bool | int | float):
+        yield path, float(content)
+    elif isinstance(content, Mapping):
         for name, value in content.items():
             yield from _numbers(value, f"{path}.{name}" if path else str(name))
-    elif isinstance(content, list) and len(content) <= _MOST_ELEMENTS:
+    elif isinstance(content, str | bytes) or not isinstance(content, Sequence):
+        return
+    elif len(content) <= _MOST_ELEMENTS:
         for index, value in enumerate(content):
             yield from _numbers(value, f"{path}[{index}]")
-    elif isinstance(content, bool | int | float):
-        yield path, float(content)
-    elif isinstance(content, list) and len(content) <= _LARGEST:
+    elif len(content) <= _LARGEST:
         with suppress(TypeError, ValueError):
             yield path, np.array(content, np.float64)

@@ -47,10 +47,7 @@ def drawing(width: float, height: float) -> Iterator[tuple[Axes, BytesIO]]:
         canvas = FigureCanvasAgg(figure)
         yield figure.add_subplot(), png
         canvas.draw()  # type: ignore[no-untyped-call]
-        picture = Image.frombuffer("RGBA", canvas.get_width_height(), _pixels(canvas))
+        pixels = bytes(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+        picture = Image.frombuffer("RGBA", canvas.get_width_height(), pixels)
         palette = picture.quantize(PALETTE, method=Image.Quantize.FASTOCTREE)
         palette.save(png, "png", dpi=(DPI, DPI))
-
-
-def _pixels(canvas: FigureCanvasAgg) -> bytes:
-    return bytes(canvas.buffer_rgba())  # type: ignore[no-untyped-call]

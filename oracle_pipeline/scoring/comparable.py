@@ -19,6 +19,7 @@ from oracle_pipeline.datasets import (
 from oracle_pipeline.scoring.verdict import ScoringError
 
 _PRESENT = ".missing"  # ends the column of every number that a recording has
+_LENGTH = f"length{_PRESENT}"  # ends that of the length of a sequence of messages
 
 
 def shared_features(
@@ -60,8 +61,13 @@ def shared_features(
 
 
 def given_numbers(df: pd.DataFrame) -> pd.DataFrame:
-    """Return which numbers of their messages runs have: a column of truth values for each."""
+    """Return which numbers of their messages runs have: a column of truth values for each.
+
+    Those in sequences of messages, such as detected objects, are left out: these may be empty.
+    """
     columns = [column for column in signal_columns(df) if column.endswith(_PRESENT)]
+    sequences = tuple(c.removesuffix(_LENGTH) for c in columns if c.endswith(f".{_LENGTH}"))
+    columns = [column for column in columns if not column.startswith(sequences)]
     return df[columns].notna().rename(columns=lambda column: column.removesuffix(_PRESENT))
 
 

@@ -13,13 +13,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.terminal import join_first
 from oracle_pipeline.datasets import feature_columns, is_malicious, signal_columns
 from oracle_pipeline.scoring.reference import Reference
 
 MOST_ODD = 0.1  # share of the recordings that may be set aside
 GAP = 2.0  # an odd score is so many times the highest of the others
 LEAST_SCORE = 10.0  # and at least this, in spreads of the normal scores
-_NAMED = 3  # recordings named in a note
 
 
 def counted(reference: Reference) -> Reference:
@@ -95,10 +95,4 @@ def recordings_for(count: int, blocks: int) -> int:
 
 
 def _named(reference: Reference, rows: NDArray[np.bool_]) -> str:
-    return named(reference.table.loc[rows, "run_id"].tolist())
-
-
-def named(names: Sequence[str]) -> str:
-    """Return the first few names as text, and how many more there are."""
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return ", ".join(names[:_NAMED]) + more
+    return join_first(reference.table.loc[rows, "run_id"].tolist())

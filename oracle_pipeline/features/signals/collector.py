@@ -13,7 +13,7 @@ from oracle_pipeline.bags.merging import Messages, Rows
 from oracle_pipeline.bags.reader import BagReader, Topic
 from oracle_pipeline.bags.terminal import join_first
 from oracle_pipeline.features.engine.columns import SerializedMessages
-from oracle_pipeline.features.signals.fields import Numbers, numbers_of
+from oracle_pipeline.features.signals.fields import Numbers, labelled_alike, numbers_of
 from oracle_pipeline.robots.robot import Robot
 from oracle_pipeline.robots.roles import is_static
 
@@ -49,12 +49,10 @@ class _Topic:
         self._is_cdr = topic.encoding != "ros1"
         self._every = max(1, -(-topic.count // MOST_MESSAGES))
         self._count = topic.count
-        self._passed = 0
+        self._passed = self._tried = self._whole = self._held = 0
         self._waiting: list[bytes] = []
         self._rows: list[int] = []
-        self._held = 0
-        self._tried = self._whole = 0
-        self.found: list[Numbers] = []  # rows are numbers of messages in the recording
+        self._found: list[Numbers] = []  # rows are numbers of messages in the recording
 
     def add(self, batch: Messages, rows: Rows, first: int) -> None:
         """Take the next messages; `first` is the number of the batch's first message."""
@@ -93,7 +91,7 @@ class _Topic:
             try:
                 content = self._decode(data)
                 written.append(bytes(self._store.serialize_cdr(content, self._msgtype)))
-            except Exception:  # noqa: S112 -- of a generated encoder, too; `is_sound` counts them
+            except Exception:  # noqa: S112 -- of a generated encoder, too; `numbers` counts them
                 continue
             good.append(row)
         again = SerializedMessages(written, self._store, self._msgtype, is_cdr=True)
@@ -102,17 +100,18 @@ class _Topic:
     def _take(self, rows: Rows, batch: SerializedMessages) -> None:
         """Keep the numbers of whole messages."""
         self._whole += len(rows)
-        if len(rows):
-            columns = batch.columns()
-            for each in numbers_of(
-                columns, self._store, self._msgtype, MOST_SIGNALS + 1, static=self._is_static
-            ):  # one more tells that some are left out
-                self.found.append(each._replace(rows=rows[each.rows]))
+        store, msgtype = self._store, self._msgtype
+        for alike in labelled_alike(batch.columns(), store, msgtype) if len(rows) else []:
+            part = batch if len(alike) == len(rows) else batch.some(alike)
+            most = MOST_SIGNALS + 1  # one more tells that some are left out
+            for each in numbers_of(part.columns(), store, msgtype, most, static=self._is_static):
+                self._found.append(each._replace(rows=rows[alike[each.rows]]))
 
-    @property
-    def is_sound(self) -> bool:
-        """Whether nearly all messages were whole."""
-        return self._whole >= _WHOLE_SHARE * self._tried
+    def numbers(self) -> Iterator[Numbers]:
+        """Yield the numbers; none if too many messages are broken: their type is wrong."""
+        self.decode()
+        if self._whole >= _WHOLE_SHARE * self._tried:
+            yield from _joined(self._found)
 
 
 class SignalCollector:
@@ -165,7 +164,7 @@ class SignalCollector:
         cut: list[str] = []
         for number in sorted(self._numbers, key=self._order):
             name = self._names[number]
-            for numbers in self._decoded(number):
+            for numbers in self._topics[number].numbers() if number in self._topics else ():
                 if len(numbers.names) > left:
                     cut.append(name)
                 if left:
@@ -180,25 +179,23 @@ class SignalCollector:
         """Return the place of a topic: those with many messages first, by powers of two."""
         return -sum(map(len, self._numbers[number])).bit_length(), self._names[number]
 
-    def _decoded(self, number: int) -> Iterator[Numbers]:
-        """Yield the numbers in the messages of a topic; none if its type is unknown or wrong."""
-        if topic := self._topics.get(number):
-            topic.decode()
-            if topic.is_sound:
-                yield from _joined(topic.found)
-
 
 def _joined(parts: list[Numbers]) -> Iterator[Numbers]:
-    """Yield numbers of the same signals as one."""
-    by_names: dict[tuple[str, ...], list[Numbers]] = {}
+    """Yield numbers of the same signals as one; those that only some parts have apart."""
+    in_parts: dict[str, list[Numbers]] = {}
     for part in parts:
-        by_names.setdefault(part.names, []).append(part)
-    seen: set[str] = set()
-    for names, some in by_names.items():
-        if seen.isdisjoint(names):  # an array whose length changes is taken as it was first
-            seen.update(names)
-            rows = np.concatenate([each.rows for each in some])
-            yield Numbers(names, some[0].units, rows, np.concatenate([s.values for s in some]))
+        for name in dict.fromkeys(part.names):
+            in_parts.setdefault(name, []).append(part)
+    together: dict[tuple[int, ...], list[str]] = {}
+    for name, some in in_parts.items():
+        together.setdefault(tuple(map(id, some)), []).append(name)
+    for names in together.values():
+        some = in_parts[names[0]]
+        columns = [[part.names.index(name) for name in names] for part in some]
+        units = tuple(some[0].units[column] for column in columns[0])
+        rows = np.concatenate([part.rows for part in some])
+        values = [part.values[:, taken] for part, taken in zip(some, columns, strict=True)]
+        yield Numbers(tuple(names), units, rows, np.concatenate(values))
 
 
 def _periods(topic: str, times_ns: NDArray[np.int64]) -> Signals:

@@ -9,6 +9,7 @@ child, because links of an arm pass the poles, where roll and yaw flip by half a
 
 import itertools
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
@@ -24,10 +25,12 @@ from oracle_pipeline.features.signals.units import UNITS
 MOST_ELEMENTS = 64  # of an array without labels whose elements are signals
 MOST_SUMMARISED = 2048  # numbers of an array that its summary samples, spread evenly
 SUMMARY = ("mean", "spread", "min", "max", "finite")
-_SKIPPED = {"builtin_interfaces/msg/Time", "std_msgs/msg/Header", "std_msgs/msg/MultiArrayLayout"}
 _QUATERNION = "geometry_msgs/msg/Quaternion"
 _DURATION = "builtin_interfaces/msg/Duration"
+_LAYOUT = "std_msgs/msg/MultiArrayLayout"
+_SKIPPED = {"builtin_interfaces/msg/Time", "std_msgs/msg/Header", _LAYOUT}
 _LABELS = ("name", "names", "joint_names")  # of arrays in the same message
+_MOST_LABELS = 16  # different ones in a topic; more are not those of a robot's parts
 
 Floats: TypeAlias = NDArray[np.float64]
 _Field: TypeAlias = tuple[str, str, Floats]  # name, unit, a number for each message
@@ -83,7 +86,7 @@ def _fields(
         yield path, "s", np.asarray(messages.sec + 1e-9 * messages.nanosec, dtype=np.float64)
         return
     definition = store.fielddefs[msgtype][1]
-    labels = _labels(messages, [name for name, _ in definition])
+    labels = _labels(messages, store, msgtype)
     for name, (kind, what) in definition:
         own, of = f"{path}.{name}" if path else name, UNITS.get((msgtype, name), unit)
         if kind == Nodetype.NAME:
@@ -189,25 +192,39 @@ def _means(
     yield f"{path}.length", "1", sizes
     if not len(elements):
         return
-    for name, (kind, what) in store.fielddefs[msgtype][1]:
-        if kind == Nodetype.BASE and what[0] != "string":
-            totals = np.bincount(elements.owners, np.asarray(getattr(elements, name)), count)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                yield f"{path}.{name}", UNITS.get((msgtype, name), ""), totals / sizes
+    for name, unit, values in _fields(elements, store, msgtype):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            yield f"{path}.{name}", unit, np.bincount(elements.owners, values, count) / sizes
 
 
-def _labels(messages: Columns, names: Sequence[str]) -> Sequence[str]:
-    """Return the labels of the elements of a message's arrays; empty if it has none."""
-    if "layout" in names:
+def _labels(messages: Columns, store: Typestore, msgtype: str) -> Sequence[str]:
+    """Return the labels of the elements of arrays; empty if these messages have no equal ones."""
+    texts: Sequence[str] = []
+    if ("layout", (Nodetype.NAME, _LAYOUT)) in store.fielddefs[msgtype][1]:
         dimensions = messages.layout.dim
         first = dimensions.owners == dimensions.owners[:1]
         labels = [str(label) for label in dimensions.label[first]] if len(dimensions) else []
         texts = labels[0].replace(",", " ").split() if len(labels) == 1 else labels
-    else:
-        found = [name for name in _LABELS if name in names]
-        texts = list(getattr(messages, found[0])[0]) if found else []
+    elif len(different := set(_labels_of_each(messages, store, msgtype))) == 1:
+        texts = different.pop()
     texts = [str(text).replace("/", "_") for text in texts]
     return texts if len(set(texts)) == len(texts) and all(texts) else []
+
+
+def _labels_of_each(messages: Columns, store: Typestore, msgtype: str) -> Iterator[tuple[str, ...]]:
+    for name, (kind, what) in store.fielddefs[msgtype][1]:
+        if name in _LABELS and kind == Nodetype.SEQUENCE and what[0][1][0] == "string":
+            yield from getattr(messages, name)
+            return
+
+
+def labelled_alike(messages: Columns, store: Typestore, msgtype: str) -> list[NDArray[np.int64]]:
+    """Return the rows of messages with the same labels, such as the joints of arm and gripper."""
+    rows: dict[tuple[str, ...], list[int]] = defaultdict(list)
+    for row, labels in enumerate(_labels_of_each(messages, store, msgtype)):
+        rows[labels].append(row)
+    few = 0 < len(rows) <= _MOST_LABELS
+    return [np.array(some) for some in rows.values()] if few else [np.arange(len(messages))]
 
 
 def _is_transform(store: Typestore, msgtype: str) -> bool:

@@ -1,5 +1,6 @@
 """Units of the fields of common message types."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -40,8 +41,5 @@ def period_of(name: str, unit: str, largest: float) -> float:
     last = name.rpartition(".")[2].partition("[")[0].lower()
     if unit not in ("", "rad", "deg") or not last.endswith(ANGLE_NAMES):
         return 0.0
-    in_degrees = unit == "deg" or (not unit and largest > 4.0 * _PI)
-    return 360.0 if in_degrees else 2.0 * _PI
-
-
-_PI = 3.141592653589793
+    in_degrees = unit == "deg" or (not unit and largest > 4.0 * math.pi)
+    return 360.0 if in_degrees else 2.0 * math.pi

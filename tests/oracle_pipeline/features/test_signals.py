@@ -17,6 +17,7 @@ from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.signals.collector import CUT, MOST_SIGNALS, Signals
 from oracle_pipeline.features.signals.statistics import OF_RUN, SignalTable
 from oracle_pipeline.opened_run import open_run
+from tests.oracle_pipeline.features.conftest import write_bag
 from tests.oracle_pipeline.features.scenery import header
 from tests.oracle_pipeline.features.test_transforms import transform
 
@@ -121,6 +122,19 @@ def test_each_motor_of_a_robot_counts_by_its_place_in_the_message(tmp_path):
     assert found["signals./state/motors[2].q[1].max"] == 64.0
 
 
+@pytest.mark.slow
+def test_numbers_count_from_when_they_come_however_long_the_recording(tmp_path):
+    make = message_class("std_msgs/msg/Float64MultiArray")
+    layout = message_class("std_msgs/msg/MultiArrayLayout")([], 0)
+    lengths = [60] * 17_000 + [61] * 1000  # more than are decoded at once
+    messages = [(n * 0.01, "/a", make(layout, np.full(k, 1.0 * k))) for n, k in enumerate(lengths)]
+    write_bag(tmp_path / "bag", messages, "sqlite3")
+    found = signals_of(tmp_path / "bag")
+    assert found["signals./a/data[60].mean"] == 61.0
+    assert found["signals./a/data[0].min"] == 60.0
+    assert found["signals./a/data[0].max"] == 61.0
+
+
 def test_each_joint_of_a_humanoid_with_fingers_counts_by_its_name(bag_of):
     make = message_class("sensor_msgs/msg/JointState")
     names, numbers = [f"joint_{n}" for n in range(43)], np.arange(43.0)
@@ -130,6 +144,18 @@ def test_each_joint_of_a_humanoid_with_fingers_counts_by_its_name(bag_of):
     ]))  # fmt: skip
     for field in ("position", "velocity", "effort"):
         assert found[f"signals./joint_states/{field}[joint_42].mean"] == 42.0
+
+
+def test_joints_of_arm_and_gripper_on_one_topic_count_by_their_names(bag_of):
+    make, none = message_class("sensor_msgs/msg/JointState"), np.zeros(0)
+    parts = [(["pan", "lift"], [1.0, 2.0]), (["finger"], [3.0]), (["lift", "pan"], [2.0, 1.0])]
+    found = signals_of(bag_of([
+        (n * 0.1, "/joint_states", make(header(n * 0.1, ""), names, np.array(at), none, none))
+        for n in range(60) for names, at in [parts[n % 3]]
+    ]))  # fmt: skip
+    for name, at in (("pan", 1.0), ("lift", 2.0), ("finger", 3.0)):
+        assert found[f"signals./joint_states/position[{name}].mean"] == at
+        assert found[f"signals./joint_states/position[{name}].std"] == 0.0
 
 
 def test_links_that_pass_the_pole_on_either_side_have_the_same_signals(bag_of):

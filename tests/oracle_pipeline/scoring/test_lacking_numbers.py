@@ -3,11 +3,13 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 
 from oracle_pipeline.bags.types import message_class
 from oracle_pipeline.cli import main
+from oracle_pipeline.scoring.comparable import given_numbers, lacking_numbers
 from tests.oracle_pipeline.features.conftest import header, write_bag
 
 JOINTS = ("pan", "lift", "wrist")
@@ -59,3 +61,10 @@ def test_comparing_two_sets_tells_which_numbers_one_of_them_lacks(card, tmp_path
     told = "B lacks position[wrist] of /joint_states, which all of the other set have."
     assert told in done.stdout
     assert "A lacks" not in done.stdout
+
+
+def test_a_sequence_of_messages_may_be_empty():
+    columns = ["objects.length", "objects.pose.x", "speed"]
+    seen = pd.DataFrame([[0.0] * 3] * 9, columns=[f"signals./seen/{c}.missing" for c in columns])
+    none = seen.assign(**{"signals./seen/objects.pose.x.missing": np.nan})
+    assert lacking_numbers(given_numbers(none), given_numbers(seen)) == {}
