@@ -13,7 +13,7 @@ from tools.scripts.compile_loops import SHORT
 
 pytestmark = pytest.mark.slow(6)
 
-LARGEST = 5 * 2**20  # bytes
+LARGEST = 5 * 2**20  # bytes of a tracked file: 40 runs, with the models of their signals
 
 
 def test_the_demo_shows_a_normal_and_an_attacked_run(tmp_path, monkeypatch, capsys):

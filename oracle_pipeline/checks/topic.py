@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 from oracle_pipeline.features.engine.kept_messages import NO_GRAPH, KeptMessages
 from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.signals.collector import SignalCollector, Signals
+from oracle_pipeline.features.signals.fields import sequences
 
 Floats = NDArray[np.float64]
 
 _LIVELY_SHARE = 0.8  # of a signal's numbers differ from the one before: it has noise, or moves
-_COMMAND = re.compile(
-    "cmd|command|setpoint|actuator|joy|ackermann|/Twist(Stamped)?$", re.IGNORECASE
-)
+_COMMAND = re.compile("(?i)cmd|command|setpoint|actuator|joy|ackermann|/Twist(Stamped)?$")
 FEWEST = 50  # messages; of fewer, nothing is known about what is usual
 
 
@@ -92,13 +91,14 @@ def topics_of(recording: KeptMessages, collector: SignalCollector) -> list[Check
 
 
 def signals_of(topic: CheckedTopic) -> list[CheckedSignal]:
-    """Return the numbers of a topic one by one."""
+    """Return the numbers of a topic one by one, without the means over sequences of messages."""
     found = []
     for signals in topic.signals:
         times_s = np.asarray(signals.times_ns / 1e9, dtype=np.float64)
         named = zip(signals.names, signals.units, signals.values.T, strict=True)
         found += [CheckedSignal(name, unit, times_s, values) for name, unit, values in named]
-    return found
+    means = sequences(signal.name for signal in found)
+    return [signal for signal in found if not signal.name.startswith(means)]
 
 
 def step_spans(times_s: Floats, steps: NDArray[np.int64]) -> Floats:

@@ -83,7 +83,7 @@ def jumps(topic: CheckedTopic) -> Iterator[Fault]:
     Only places are inspected, since velocities and forces may change at once.
     """
     for signal in signals_of(topic):
-        if not _is_place(topic, signal) or len(signal.values) < 4 * FEWEST:
+        if not _is_place(signal) or len(signal.values) < 4 * FEWEST:
             continue
         values = _unwrapped(signal)
         steps = np.diff(values)
@@ -102,12 +102,10 @@ def jumps(topic: CheckedTopic) -> Iterator[Fault]:
             )  # fmt: skip
 
 
-def _is_place(topic: CheckedTopic, signal: CheckedSignal) -> bool:
-    """Return whether a signal is where something is, and neither a command nor a mean of many."""
-    above, _, last = signal.name.rpartition(".")
-    several = any(f"{above}.length" in signals.names for signals in topic.signals)
-    named = last.rpartition("_")[2] in _PLACES and signal.unit in ("m", "deg", "")
-    return named and not several and signal.is_lively
+def _is_place(signal: CheckedSignal) -> bool:
+    """Return whether a signal is where something is."""
+    last = signal.name.rpartition(".")[2].rpartition("_")[2]
+    return last in _PLACES and signal.unit in ("m", "deg", "") and signal.is_lively
 
 
 def _unwrapped(signal: CheckedSignal) -> Floats:

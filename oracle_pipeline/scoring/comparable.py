@@ -16,10 +16,10 @@ from oracle_pipeline.datasets import (
     signal_columns,
     topic_of_signal,
 )
+from oracle_pipeline.features.signals.fields import sequences
 from oracle_pipeline.scoring.verdict import ScoringError
 
 _PRESENT = ".missing"  # ends the column of every number that a recording has
-_LENGTH = f"length{_PRESENT}"  # ends that of the length of a sequence of messages
 
 
 def shared_features(
@@ -66,8 +66,8 @@ def given_numbers(df: pd.DataFrame) -> pd.DataFrame:
     Those in sequences of messages, such as detected objects, are left out: these may be empty.
     """
     columns = [column for column in signal_columns(df) if column.endswith(_PRESENT)]
-    sequences = tuple(c.removesuffix(_LENGTH) for c in columns if c.endswith(f".{_LENGTH}"))
-    columns = [column for column in columns if not column.startswith(sequences)]
+    may_be_empty = sequences(column.removesuffix(_PRESENT) for column in columns)
+    columns = [column for column in columns if not column.startswith(may_be_empty)]
     return df[columns].notna().rename(columns=lambda column: column.removesuffix(_PRESENT))
 
 

@@ -10,7 +10,7 @@ child, because links of an arm pass the poles, where roll and yaw flip by half a
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -225,6 +225,17 @@ def labelled_alike(messages: Columns, store: Typestore, msgtype: str) -> list[ND
         rows[labels].append(row)
     few = 0 < len(rows) <= _MOST_LABELS
     return [np.array(some) for some in rows.values()] if few else [np.arange(len(messages))]
+
+
+def sequences(names: Iterable[str]) -> tuple[str, ...]:
+    """Return what begins the names of numbers in sequences of messages: means, if there are any.
+
+    Examples
+    --------
+    >>> sequences(["objects.length", "objects.pose.x", "speed"])
+    ('objects.',)
+    """
+    return tuple(name.removesuffix("length") for name in names if name.endswith(".length"))
 
 
 def _is_transform(store: Typestore, msgtype: str) -> bool:

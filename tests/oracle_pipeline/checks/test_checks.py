@@ -10,11 +10,13 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
+from oracle_pipeline.bags.types import message_class
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.checks.run import CHECKS, check_recording
 from oracle_pipeline.cli import main
 from tests.oracle_pipeline.bags.conftest import STRING, text
 from tests.oracle_pipeline.checks.drives import AT_S, Tables, drive, sound_drive
+from tests.oracle_pipeline.features.conftest import header, pose_message, write_bag
 
 
 def frozen_imu(tables: Tables) -> None:
@@ -141,6 +143,17 @@ def test_commands_may_pause_and_leave_values_open(name, tmp_path):
 
     checks = {fault.check for fault in check_recording(drive(tmp_path, command))}
     assert not checks & {"gap", "not_finite"}
+
+
+def test_objects_that_come_and_go_are_no_fault(tmp_path):
+    draw, detected = np.random.default_rng(0), message_class("geometry_msgs/msg/PoseArray")
+    seen = []
+    for time_s in np.arange(0.0, 20.0, 0.05):
+        places = 9.0 * draw.random((draw.integers(3), 2))
+        poses = [pose_message(x, y, 0.0) for x, y in places]
+        seen.append((time_s, "/objects", detected(header(time_s, "map"), poses)))
+    write_bag(tmp_path / "bag", seen)
+    assert check_recording(tmp_path / "bag") == []
 
 
 def test_a_last_message_without_numbers_is_no_fault(tmp_path):
