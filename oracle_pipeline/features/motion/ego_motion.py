@@ -300,17 +300,17 @@ def wheels(topic: str, joints: _Joints, references: Sequence[Motion]) -> Motion 
 def _joints(series: Series, column: int) -> _Joints | None:
     """Return the angles of joints from their positions, or from their integrated velocities.
 
-    None if the messages lack them for any joint.
+    Of several publishers, such as wheels and a gripper, the one with most joints counts. None if
+    its messages lack them for any joint.
     """
-    names, told = series.values[0][1], [each[column] for each in series.values]
-    whole = np.array(
-        [len(t) == len(names) and e[1] == names for t, e in zip(told, series.values, strict=True)]
-    )
+    rows = series.values
+    names = max((row[1] for row in rows), key=len)
+    whole = np.array([row[1] == names and len(row[column]) == len(names) for row in rows])
     if not names or whole.sum() < 2:
         return None
-    stamps_s = np.array([each[0] for each in series.values])
+    stamps_s = np.array([row[0] for row in rows])
     order = np.flatnonzero(whole)[np.argsort(stamps_s[whole], kind="stable")]
-    values = np.stack([np.asarray(told[i], dtype=np.float64) for i in order])
+    values = np.stack([np.asarray(rows[i][column], dtype=np.float64) for i in order])
     at_s = stamps_s[order]
     angles = _unwrapped(values) if column == _POSITIONS else _summed(at_s, values)
     return _Joints(series.times_s[order], at_s, angles)

@@ -198,6 +198,15 @@ def test_messages_that_arrive_at_once_after_a_stall_turn_no_wheel_back(honest, t
         assert values[name] == pytest.approx(honest[0][name], abs=0.1), name
 
 
+def test_a_gripper_on_the_topic_of_the_wheels_changes_nothing(honest, tmp_path):
+    make, none = message_class("sensor_msgs/msg/JointState"), np.zeros(0)
+    gripper = make(header(0.0, ""), ["finger"], np.array([0.4]), np.array([0.0]), none)
+    mixed = [(time_s, "/joints", gripper) for time_s in np.arange(0.0, SECONDS, 0.25)]
+    values, *_ = extract(PLUGINS, sorted(mixed + robot(), key=lambda each: each[0]), tmp_path)
+    for name in ("spin_drift_angles_rates", "travel_scale_pose_joints", "turn_scale_gyro_joints"):
+        assert values[name] == pytest.approx(honest[0][name], abs=0.01), name
+
+
 def test_a_stream_that_is_late_lags(extracted):
     values, where, _ = extracted(late_s=0.15)
     assert values["turn_lag_pose_gyro"] == pytest.approx(0.15, abs=0.02)
