@@ -1,11 +1,12 @@
-"""Finds the fields of a topic's messages that never change within a recording.
+"""Finds the fields of a topic's messages that never change within a recording, or are few texts.
 
 Examples are the frame, angles and limits of a scanner, the names of joints, the corners of a safety
-zone, or the mount of a sensor in the static transforms. Few features would notice a change in such
-a field, and it needs no statistics to report one.
+zone, the mount of a sensor in the static transforms, or the states that a task reports. Few
+features would notice a change in such a field, and it needs no statistics to report one.
 """
 
 import itertools
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -32,6 +33,9 @@ MOST_ELEMENTS = 64  # of a sequence; longer ones are measurements
 _DECIMALS = 6  # of a transform
 _TO = " -> "  # from parent to child
 _TIME = "builtin_interfaces/msg/Time"
+LIKE, OR = "like ", " or "  # begins and joins the texts of a field that changes between few
+_MOST_TEXTS = 8  # of such a field
+_NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
 class Samples:
@@ -77,7 +81,8 @@ class Samples:
     def constants(self) -> dict[str, dict[str, str]]:
         """Return the fields that are equal in all sampled messages, by topic, and their values.
 
-        Stamps do not count, nor do sequences whose length varies or exceeds `MOST_ELEMENTS`. A
+        Stamps do not count, nor do sequences whose length varies or exceeds `MOST_ELEMENTS`. A text
+        that changes between few counts, without its numbers: ``like 'goal #' or 'idle'``. A
         transform counts as two fields, named after its frames: a joint turns, and its link is
         mounted in one place. Topics of an unknown type are left out.
         """
@@ -92,7 +97,7 @@ class Samples:
             if not batch.whole.all():
                 continue
             found[topic] = {}
-            if len(data) >= 2 and not is_static(kind):
+            if len(data) >= 2 and not is_static(kind) and kind.msgtype != "rcl_interfaces/msg/Log":
                 found[topic] |= _equal(batch.columns(), store, kind.msgtype)
             if topic in self._transforms:
                 found[topic] |= _transforms(batch.columns())
@@ -170,10 +175,28 @@ def _common_length(lengths: ArrayLike) -> int:
 
 
 def _constant(path: str, values: NDArray[Any]) -> Iterator[tuple[str, str]]:
-    """Yield a field and its value if it is equal in all messages, shape (n_messages, ...)."""
+    """Yield a field and its value if it is equal in all messages, shape (n_messages, ...).
+
+    Of a text that changes between few, these are the value.
+    """
     first, is_nan = values[0], values != values
     if ((values == first) | (is_nan & is_nan[0])).all():
         yield path, _text(first)
+    elif isinstance(first, str):
+        few = likes(OR.join(map(_text, set(values.tolist()))))
+        if len(few) <= _MOST_TEXTS:
+            yield path, LIKE + OR.join(sorted(few))
+
+
+def likes(value: str) -> set[str]:
+    """Return the texts that a field is like, without their numbers.
+
+    Examples
+    --------
+    >>> sorted(likes("like 'goal 7' or 'idle'"))
+    ["'goal #'", "'idle'"]
+    """
+    return set(_NUMBER.sub("#", value.removeprefix(LIKE)).split(OR))
 
 
 def _entropy(data: bytes) -> float:

@@ -9,6 +9,7 @@ longest silence, and the number of messages in ten seconds.
 import math
 import re
 import textwrap
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
@@ -24,7 +25,7 @@ from oracle_pipeline.features.engine.timeline import Timeline
 from oracle_pipeline.graphs.intervals import compose
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.robots.known import Known
-from oracle_pipeline.scoring.constants import Samples, is_of_transform
+from oracle_pipeline.scoring.constants import LIKE, OR, Samples, is_of_transform, likes
 from oracle_pipeline.scoring.pace import FEWEST, SPAN_S, Pace, Stamped, merged_paces, paces
 from oracle_pipeline.scoring.parameters import Parameters
 from oracle_pipeline.scoring.relays import Fingerprints, Relays
@@ -273,8 +274,7 @@ class Contract:
             if terms.always and name not in seen.topics
         ]
         for name, (kind, qos, rate_hz) in sorted(seen.topics.items()):
-            terms = self.topics.get(name)
-            if terms is None:
+            if (terms := self.topics.get(name)) is None:
                 found.append(Breach(name, f"Topic {name} ({kind}) is new."))
             else:
                 found += _of_topic(name, terms, kind, qos)
@@ -283,16 +283,9 @@ class Contract:
                 if kind in terms.types and name in seen.constants:
                     found += self._of_constants(name, seen.constants[name])
                 found += self._of_relay(name, seen) if seen.whole else []
-        if self.steady_clock:
-            found += [
-                Breach(
-                    "clock",
-                    f"The recorder's clock was set back by {back_s:.3g} s at {at_s:.2f} s; in no "
-                    "normal recording it was.",
-                    "clock",
-                )
-                for at_s, back_s in seen.set_back
-            ]
+        for at_s, back_s in seen.set_back if self.steady_clock else ():
+            when = f"The recorder's clock was set back by {back_s:.3g} s at {at_s:.2f} s"
+            found.append(Breach("clock", f"{when}; in no normal recording it was.", "clock"))
         found += self._of_graph(seen.graph)
         for name, numbers in lacking.items():
             if name in seen.topics and seen.topics[name][0] in self.topics[name].types:
@@ -309,11 +302,8 @@ class Contract:
         pace = self.paces.get(name)
         if pace is None or silent_s <= 2.0 * pace.longest_gap_s + SILENCE_S:
             return None
-        return Breach(
-            name,
-            f"Topic {name} has been silent for {silent_s:.1f} s; normal recordings have no silence "
-            f"over {pace.longest_gap_s:.2g} s.",
-        )
+        usual = f"normal recordings have no silence over {pace.longest_gap_s:.2g} s"
+        return Breach(name, f"Topic {name} has been silent for {silent_s:.1f} s; {usual}.")
 
     def breach_of_count(self, name: str, count: int) -> Breach | None:
         """Return a breach if a topic had too many or too few messages in the last `SPAN_S`."""
@@ -324,25 +314,21 @@ class Contract:
         most = math.ceil(pace.most * (1.0 + COUNT_MARGIN)) + 2
         if fewest <= count <= most:
             return None
-        return Breach(
-            name,
-            f"Topic {name} has {count} messages in {SPAN_S} s; normal recordings have "
-            f"{pace.fewest} to {pace.most}.",
-        )
+        usual = f"normal recordings have {pace.fewest} to {pace.most}"
+        return Breach(name, f"Topic {name} has {count} messages in {SPAN_S} s; {usual}.")
 
     def _of_constants(self, name: str, seen: Mapping[str, str]) -> Iterable[Breach]:
         for path, usual in self.constants.get(name, {}).items():
-            if path not in seen:
-                yield Breach(
-                    name,
-                    f"Field {path} of topic {name} changes or is missing; in normal recordings it "
-                    "is constant.",
-                    "constant",
+            now = seen.get(path)
+            if now is None or (usual is None and now.startswith(LIKE)):
+                text = (
+                    f"Field {path} of topic {name} changes unlike in normal recordings, or is gone."
                 )
-            elif usual is not None and seen[path] != usual:
-                is_rounded = _is_close(seen[path], usual)
-                now, usual = (textwrap.shorten(text, 40) for text in (seen[path], usual))
-                instead = f"is {now} instead of {usual}" if now != usual else "has another value"
+                yield Breach(name, text, "constant")
+            elif usual is not None and (new := _new_value(now, usual)):
+                is_rounded = _is_close(new, usual)
+                new, usual = (textwrap.shorten(t.removeprefix(LIKE), 40) for t in (new, usual))
+                instead = f"is {new} instead of {usual}" if new != usual else "has another value"
                 breach = Breach(name, f"Field {path} of topic {name} {instead}.", "constant")
                 yield _noted(breach, _ROUNDED) if is_rounded else breach
 
@@ -352,11 +338,11 @@ class Contract:
                 copies = seen.relays[name].get(source)
                 share = 0.0 if copies is None else copies.share
                 usually = "all" if usual == 1.0 else f"at least {usual:.1%}"
-                told = (
-                    f"Of the messages on topic {name}, {share:.1%} are copies of messages on "
-                    f"{source}; in normal recordings {usually} are."
+                told = f"{share:.1%} are copies of messages on {source}"
+                text = (
+                    f"Of the messages on topic {name}, {told}; in normal recordings {usually} are."
                 )
-                breach = Breach(name, told, "copies")
+                breach = Breach(name, text, "copies")
                 yield _noted(breach, _FILTERED) if share <= RARE else breach
 
     def _is_altered(self, name: str, source: str, seen: Observation) -> bool:
@@ -381,12 +367,9 @@ class Contract:
     def _of_graph(self, graph: frozenset[str] | None) -> list[Breach]:
         if graph is None or not self.ever:
             return []
-        missing = sorted(self.always - graph)
-        new = sorted(graph - self.ever)
-        return [
-            *(Breach(each, f"{_as_text(each)} is gone.", "graph") for each in missing),
-            *(Breach(each, f"{_as_text(each)} is new.", "graph") for each in new),
-        ]
+        changes = [(each, "gone") for each in sorted(self.always - graph)]
+        changes += [(each, "new") for each in sorted(graph - self.ever)]
+        return [Breach(each, f"{_as_text(each)} is {what}.", "graph") for each, what in changes]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract as JSON-compatible values."""
@@ -406,9 +389,7 @@ class Contract:
     def from_dict(cls, document: Mapping[str, Any]) -> Self:
         """Return the contract from the values of `to_dict`."""
         topics = {
-            name: TopicTerms(
-                **{**terms, "types": tuple(terms["types"]), "qos": tuple(terms["qos"])}
-            )
+            name: TopicTerms(**terms | {key: tuple(terms[key]) for key in ("types", "qos")})
             for name, terms in document["topics"].items()
         }
         pace_of = {name: Pace(*pace) for name, pace in document["paces"].items()}
@@ -448,12 +429,30 @@ def _constants(name: str, observations: Iterable[Observation]) -> dict[str, str 
     if len(seen) < FEWEST_RECORDINGS:
         return {}
     fields = [path for path in seen[0] if all(path in each for each in seen)]
-    values = {path: {each[path] for each in seen} for path in fields}
+    values = {path: [each[path] for each in seen] for path in fields}
     return {
-        path: value.pop() if len(value) == 1 else None
-        for path, value in values.items()
-        if len(value) == 1 or not is_of_transform(path)
+        path: usual
+        for path, texts in values.items()
+        if (usual := _common(texts)) or not (is_of_transform(path) or _changes(texts))
     }
+
+
+def _common(texts: Sequence[str]) -> str | None:
+    """Return the value of a field in all recordings, or few texts that two or more of them have."""
+    counts = Counter(like for text in texts for like in likes(text))
+    few = LIKE + OR.join(sorted(counts)) if min(counts.values()) > 1 and _changes(texts) else None
+    return texts[0] if len(set(texts)) == 1 else few
+
+
+def _changes(texts: Sequence[str]) -> bool:
+    return any(text.startswith(LIKE) for text in texts)
+
+
+def _new_value(now: str, usual: str) -> str:
+    """Return the value of a field, or those of its few texts, that are not usual."""
+    if usual.startswith(LIKE):
+        return OR.join(sorted(likes(now) - likes(usual)))
+    return now if now != usual else ""
 
 
 def _sources(name: str, observations: Iterable[Observation]) -> dict[str, float]:

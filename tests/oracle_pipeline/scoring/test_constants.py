@@ -37,6 +37,20 @@ def test_fixed_parameters_of_a_sensor_are_constants_and_measurements_are_not(con
     assert "pose.pose.position.y" not in found["/odom"]
 
 
+@pytest.mark.parametrize(
+    ("said", "texts"),
+    [
+        (["idle", "goal 1", "goal 2", "idle"], {"data": "like 'goal #' or 'idle'"}),
+        (["idle"], {"data": "'idle'"}),
+        ([chr(ord("a") + n) for n in range(9)], {}),
+    ],
+)
+def test_a_text_that_changes_between_few_is_known_by_them(constants_of, said, texts):
+    make = message_class("std_msgs/msg/String")
+    recorded = [(1.0 * n, "/state", make(said[n % len(said)])) for n in range(36)]
+    assert constants_of(recorded) == {"/state": texts}
+
+
 def test_a_topic_with_few_messages_has_no_constants(constants_of):
     assert constants_of(scans(FEWEST - 1)) == {}
 

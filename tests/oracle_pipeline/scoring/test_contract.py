@@ -65,10 +65,7 @@ def test_no_recording_breaches_the_contract_learned_from_it(normal):
         ({"frame": "'laser'", "range": "4"}, []),
         (
             {"range": "3"},
-            [
-                "Field frame of topic /scan changes or is missing; in normal recordings it is "
-                "constant."
-            ],
+            ["Field frame of topic /scan changes unlike in normal recordings, or is gone."],
         ),
         (
             {"frame": "'spy'", "range": "3"},
@@ -85,6 +82,32 @@ def test_a_change_of_a_constant_field_is_a_breach(constants, texts):
     contract = Contract.learned(normal)
     assert [each.text for each in contract.breaches(seen)] == texts
     assert Contract.learned(normal[1:]).breaches(seen) == []
+
+
+@pytest.mark.parametrize(
+    ("seen", "texts"),
+    [
+        ("like 'goal #' or 'idle'", []),
+        ("'goal 7'", []),
+        (
+            "like 'FAIL' or 'idle'",
+            ["Field data of topic /scan is 'FAIL' instead of 'goal #' or 'idle'."],
+        ),
+    ],
+)
+def test_a_text_that_no_normal_recording_has_is_a_breach(seen, texts):
+    few = ["like 'goal #' or 'idle'", "'idle'"]
+    normal = [replace(NORMAL[1], constants={"/scan": {"data": few[n % 2]}}) for n in range(6)]
+    contract = Contract.from_dict(Contract.learned(normal).to_dict())
+    found = contract.breaches(replace(NORMAL[1], constants={"/scan": {"data": seen}}))
+    assert [each.text for each in found] == texts
+    assert all(contract.breaches(each) == [] for each in normal)
+
+
+def test_texts_that_only_one_normal_recording_has_are_no_terms():
+    said = [f"like 'at dock' or 'seen {name}'" for name in "abcdef"]
+    normal = [replace(NORMAL[1], constants={"/scan": {"data": text}}) for text in said]
+    assert Contract.learned(normal).constants["/scan"] == {}
 
 
 def test_a_localisation_that_rests_at_other_places_is_no_mount():
