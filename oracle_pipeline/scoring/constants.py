@@ -41,8 +41,8 @@ _NUMBER = re.compile(r"\d+(\.\d+)?")
 class Samples:
     """Messages of each topic of a bag, spread evenly, taken while the bag is read.
 
-    Topics with fewer than `FEWEST` messages are left out, except for transforms and events of
-    parameters. Of static transforms and events, all messages are taken.
+    Topics with fewer than `FEWEST` messages are left out, except for transforms, texts and events
+    of parameters. Of static transforms, texts and events, all messages are taken.
 
     Attributes
     ----------
@@ -56,7 +56,9 @@ class Samples:
         self._transforms = {n for n, topic in topics.items() if topic.msgtype in TRANSFORM_TYPES}
         self._events = [name for name, topic in topics.items() if topic.msgtype == EVENTS]
         most = dict.fromkeys(self._transforms, MOST_OF_TRANSFORMS)
-        whole = (*self._events, *(name for name in self._transforms if is_static(topics[name])))
+        texts = (name for name, topic in topics.items() if topic.msgtype == "std_msgs/msg/String")
+        static = (name for name in self._transforms if is_static(topics[name]))
+        whole = (*self._events, *texts, *static)
         most |= {name: max(1, topics[name].count) for name in whole}
         self.taken: dict[str, list[bytes]] = {
             name: [] for name, topic in topics.items() if topic.count >= FEWEST or name in most

@@ -321,10 +321,8 @@ class Contract:
         for path, usual in self.constants.get(name, {}).items():
             now = seen.get(path)
             if now is None or (usual is None and now.startswith(LIKE)):
-                text = (
-                    f"Field {path} of topic {name} changes unlike in normal recordings, or is gone."
-                )
-                yield Breach(name, text, "constant")
+                text = "changes or is missing, unlike in normal recordings"
+                yield Breach(name, f"Field {path} of topic {name} {text}.", "constant")
             elif usual is not None and (new := _new_value(now, usual)):
                 is_rounded = _is_close(new, usual)
                 new, usual = (textwrap.shorten(t.removeprefix(LIKE), 40) for t in (new, usual))

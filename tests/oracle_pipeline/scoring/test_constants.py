@@ -51,6 +51,13 @@ def test_a_text_that_changes_between_few_is_known_by_them(constants_of, said, te
     assert constants_of(recorded) == {"/state": texts}
 
 
+@pytest.mark.parametrize("count", [2, 20 * MOST_MESSAGES])
+def test_each_text_of_a_state_is_known_however_seldom_it_is_said(constants_of, count):
+    make = message_class("std_msgs/msg/String")
+    recorded = [(0.1 * n, "/state", make("FAIL" if n == 1 else "idle")) for n in range(count)]
+    assert constants_of(recorded) == {"/state": {"data": "like 'FAIL' or 'idle'"}}
+
+
 def test_a_topic_with_few_messages_has_no_constants(constants_of):
     assert constants_of(scans(FEWEST - 1)) == {}
 

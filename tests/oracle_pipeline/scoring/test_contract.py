@@ -65,7 +65,7 @@ def test_no_recording_breaches_the_contract_learned_from_it(normal):
         ({"frame": "'laser'", "range": "4"}, []),
         (
             {"range": "3"},
-            ["Field frame of topic /scan changes unlike in normal recordings, or is gone."],
+            ["Field frame of topic /scan changes or is missing, unlike in normal recordings."],
         ),
         (
             {"frame": "'spy'", "range": "3"},
