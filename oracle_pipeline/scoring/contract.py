@@ -336,10 +336,8 @@ class Contract:
                 copies = seen.relays[name].get(source)
                 share = 0.0 if copies is None else copies.share
                 usually = "all" if usual == 1.0 else f"at least {usual:.1%}"
-                told = f"{share:.1%} are copies of messages on {source}"
-                text = (
-                    f"Of the messages on topic {name}, {told}; in normal recordings {usually} are."
-                )
+                told = f"messages on topic {name}, {share:.1%} are copies of messages on {source}"
+                text = f"Of the {told}; in normal recordings {usually} are."
                 breach = Breach(name, text, "copies")
                 yield _noted(breach, _FILTERED) if share <= RARE else breach
 

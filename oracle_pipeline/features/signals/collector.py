@@ -99,12 +99,14 @@ class _Topic:
 
     def _take(self, rows: Rows, batch: SerializedMessages) -> None:
         """Keep the numbers of whole messages."""
+        if not len(rows):
+            return
         self._whole += len(rows)
-        store, msgtype = self._store, self._msgtype
-        for alike in labelled_alike(batch.columns(), store, msgtype) if len(rows) else []:
-            part = batch if len(alike) == len(rows) else batch.some(alike)
-            most = MOST_SIGNALS + 1  # one more tells that some are left out
-            for each in numbers_of(part.columns(), store, msgtype, most, static=self._is_static):
+        store, msgtype, columns = self._store, self._msgtype, batch.columns()
+        most = MOST_SIGNALS + 1  # one more tells that some are left out
+        for alike in labelled_alike(columns, store, msgtype):
+            part = columns if len(alike) == len(rows) else batch.some(alike).columns()
+            for each in numbers_of(part, store, msgtype, most, static=self._is_static):
                 self._found.append(each._replace(rows=rows[alike[each.rows]]))
 
     def numbers(self) -> Iterator[Numbers]:
