@@ -48,6 +48,8 @@ class FlooredRobustScaler(TransformerMixin, BaseEstimator):  # type: ignore[misc
         In each column's unit.
     """
 
+    of_zero = 1.0  # scale of a column that is always 0 and has no floor, in its unit
+
     def __init__(self, floors: Mapping[str, float] | None = None) -> None:
         self.floors = floors
 
@@ -69,7 +71,7 @@ class FlooredRobustScaler(TransformerMixin, BaseEstimator):  # type: ignore[misc
         floor[undeclared] = SPREAD_FLOOR * _deviations(values[undeclared], counts[undeclared])
         rounding = ROUNDING_FLOOR * np.fmax.reduce(np.abs(values), axis=1, initial=0.0)
         scale = np.maximum.reduce([deviation, floor, rounding])
-        self.scale_ = np.where(scale > 0.0, scale, 1.0)
+        self.scale_ = np.where(scale > 0.0, scale, self.of_zero)
         return self
 
     def transform(self, X: pd.DataFrame) -> NDArray[np.float64]:

@@ -48,6 +48,8 @@ class SignalScaler(FlooredRobustScaler):
     is_constant_ : ndarray of bool, shape (len(kept_),)
     """
 
+    of_zero = 1e-6
+
     def fit(self, X: pd.DataFrame, y: None = None) -> Self:  # noqa: ARG002  # scikit-learn passes it
         """Learn centre and scale from the rows of `X`, shape (n_runs, n_features)."""
         super().fit(X)

@@ -210,7 +210,7 @@ def settings_among(runs: pd.DataFrame) -> set[str]:
 
     They are settings, or the world, such as the size of the map. Their level says where a robot is,
     not what it does: in a world that was never seen, it would be far from usual. Times between
-    messages are none: a rate is behaviour.
+    messages are none: a rate is behaviour. What is 0 in all runs is none: it may be an error.
     """
     found = set()
     for column in datasets.signal_columns(runs):
@@ -218,7 +218,7 @@ def settings_among(runs: pd.DataFrame) -> set[str]:
         spread = f"{signal}.std"
         if statistic == "mean" and spread in runs and not signal.endswith("/period"):
             within, between = np.median(np.nan_to_num(runs[spread])), runs[column].std(ddof=0)
-            if within <= OF_SETTING * between:
+            if within <= OF_SETTING * between and np.nan_to_num(runs[column]).any():
                 found.add(signal)
     return found
 

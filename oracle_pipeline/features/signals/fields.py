@@ -3,8 +3,9 @@
 A number is treated as what it is. Stamps and texts are left out. A quaternion becomes roll, pitch,
 yaw and norm, a covariance its trace. Arrays are signals by label where the message has labels,
 and by index if they are short. Of others there are mean, spread, minimum, maximum and the share of
-finite numbers. Transforms are signals by their pair of frames. Their rotations are the axes of the
-child, because links of an arm pass the poles, where roll and yaw flip by half a turn.
+finite numbers. Messages in a sequence count by their name, if they have one, and as means.
+Transforms are signals by their pair of frames. Their rotations are the axes of the child, because
+links of an arm pass the poles, where roll and yaw flip by half a turn.
 """
 
 import itertools
@@ -28,7 +29,9 @@ SUMMARY = ("mean", "spread", "min", "max", "finite")
 _QUATERNION = "geometry_msgs/msg/Quaternion"
 _DURATION = "builtin_interfaces/msg/Duration"
 _LAYOUT = "std_msgs/msg/MultiArrayLayout"
-_SKIPPED = {"builtin_interfaces/msg/Time", "std_msgs/msg/Header", _LAYOUT}
+_POINT_FIELD = "sensor_msgs/msg/PointField"
+_SKIPPED = {"builtin_interfaces/msg/Time", "std_msgs/msg/Header", _LAYOUT, _POINT_FIELD}
+_NAME = ("name", (Nodetype.BASE, ("string", 0)))  # of an element, such as a status of diagnostics
 _LABELS = ("name", "names", "joint_names")  # of arrays in the same message
 _MOST_LABELS = 16  # different ones in a topic; more are not those of a robot's parts
 
@@ -65,7 +68,7 @@ def numbers_of(
     """
     fields = list(itertools.islice(_fields(messages, store, msgtype), most))
     found = [_together(fields, np.arange(len(messages)))] if fields else []
-    return [*found, *_transforms(messages, store, msgtype, most, static)]
+    return [*found, *_by_label(messages, store, msgtype, most, static)]
 
 
 def _together(fields: Sequence[_Field], rows: NDArray[np.int64]) -> Numbers:
@@ -242,28 +245,35 @@ def _is_transform(store: Typestore, msgtype: str) -> bool:
     return {"transform", "child_frame_id"} <= {name for name, _ in store.fielddefs[msgtype][1]}
 
 
-def _transforms(
+def _by_label(
     messages: Columns, store: Typestore, msgtype: str, most: int, static: bool
 ) -> Iterator[Numbers]:
-    """Yield the numbers of transforms, by their pair of frames."""
+    """Yield the numbers of transforms by their pair of frames, of other elements by their name."""
     for name, (kind, what) in store.fielddefs[msgtype][1]:
         if kind not in (Nodetype.ARRAY, Nodetype.SEQUENCE) or what[0][0] != Nodetype.NAME:
             continue
-        if not _is_transform(store, str(what[0][1])):
+        each, element = getattr(messages, name), str(what[0][1])
+        if _is_transform(store, element):
+            parents, children = frame_names(each.header.frame_id), frame_names(each.child_frame_id)
+            texts = [f"{p}-{c}" for p, c in zip(parents, children, strict=True)]
+            fields = list(_of_transforms(each, store, static))
+        elif _NAME in store.fielddefs[element][1] and 0 < len(set(each.name)) <= MOST_ELEMENTS:
+            texts = [f"{name}.{own}" for own in each.name]
+            fields = list(_fields(each, store, element))
+        else:
             continue
-        each = getattr(messages, name)
-        parents, children = frame_names(each.header.frame_id), frame_names(each.child_frame_id)
-        pairs = np.array(
-            [f"{p}-{c}".replace("/", "_") for p, c in zip(parents, children, strict=True)]
-        )
-        place, rotation = each.transform.translation, each.transform.rotation
-        fields = [("rotation.norm", "1", _unit(rotation)[1])]
-        if not static:
-            fields += _fields(place, store, "geometry_msgs/msg/Vector3", "translation", "m")
-            fields += _axes(rotation, "rotation")
-        for pair in np.unique(pairs)[: max(1, most // max(len(fields), 1))].tolist():
-            of_pair = np.flatnonzero(pairs == pair)
+        labels = np.array([text.replace("/", "_") for text in texts])
+        for label in np.unique(labels)[: most // len(fields) if fields else 0].tolist():
+            alike = np.flatnonzero(labels == label)
             yield _together(
-                [(f"{pair}.{own}", unit, values[of_pair]) for own, unit, values in fields],
-                each.owners[of_pair],
+                [(f"{label}.{own}", unit, values[alike]) for own, unit, values in fields],
+                each.owners[alike],
             )
+
+
+def _of_transforms(each: Columns, store: Typestore, static: bool) -> Iterator[_Field]:
+    place, rotation = each.transform.translation, each.transform.rotation
+    yield "rotation.norm", "1", _unit(rotation)[1]
+    if not static:
+        yield from _fields(place, store, "geometry_msgs/msg/Vector3", "translation", "m")
+        yield from _axes(rotation, "rotation")

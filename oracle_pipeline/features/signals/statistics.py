@@ -51,7 +51,7 @@ class SignalTable:
         self._signals = [each for each, _ in prepared]
         self._periods = [periods for _, periods in prepared]
         features = [
-            (_column(each.topic, name, statistic), _feature(name, statistic, unit))
+            (f"{SIGNALS}{each.topic}/{name}.{statistic}", _feature(name, statistic, unit))
             for each in self._signals
             for name, unit in zip(each.names, each.units, strict=True)
             for statistic in OF_RUN
@@ -74,10 +74,6 @@ class SignalTable:
         numbers = np.concatenate([each.T.ravel() for each in found]) if found else np.empty(0)
         columns = self._window_columns if per_window else self._columns
         return dict(zip(columns, numbers.tolist(), strict=True))
-
-
-def _column(topic: str, name: str, statistic: str) -> str:
-    return f"{SIGNALS}{topic}/{name}.{statistic}"
 
 
 def _feature(name: str, statistic: str, unit: str) -> Feature:
@@ -170,7 +166,5 @@ def _held(steps: Floats) -> Iterator[float]:
     count = len(steps) + 1
     for column in steps.T:
         changes = np.flatnonzero(column)
-        if count < FEWEST_HELD:
-            yield 0.0
-        else:
-            yield float(np.diff(changes, prepend=-1, append=len(steps)).max() / count)
+        longest = np.diff(changes, prepend=-1, append=len(steps)).max()
+        yield float(longest / count) if count >= FEWEST_HELD else math.nan

@@ -37,6 +37,12 @@ def test_change_of_what_seldom_changes_counts_but_not_for_all(changed_before):
     assert changed == pytest.approx([5.0, 50.0])
 
 
+def test_a_small_change_of_what_is_always_zero_counts_as_that_of_any_constant():
+    scaler = SignalScaler({}).fit(pd.DataFrame({"error": np.zeros(20), "noise": np.zeros(20)}))
+    changed = scaler.transform(pd.DataFrame({"error": [0.02], "noise": [1e-12]}))[0]
+    assert changed == pytest.approx([5.0, 0.0], abs=1e-3)
+
+
 def test_lost_messages_of_a_simulator_are_not_far_and_a_silence_is():
     normal = statistics_of_periods([np.full(200, 0.05)] * 20)
     scaler = SignalScaler({}).fit(normal)

@@ -15,7 +15,7 @@ from oracle_pipeline.datasets import signal_columns
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.signals.collector import CUT, MOST_SIGNALS, Signals
-from oracle_pipeline.features.signals.statistics import OF_RUN, SignalTable
+from oracle_pipeline.features.signals.statistics import FEWEST_HELD, OF_RUN, SignalTable
 from oracle_pipeline.opened_run import open_run
 from tests.oracle_pipeline.features.conftest import write_bag
 from tests.oracle_pipeline.features.scenery import header
@@ -86,6 +86,13 @@ def test_stuck_and_missing_numbers_are_told(tmp_path):
     assert found["signals./log/missing.missing"] == pytest.approx(0.25)
 
 
+@pytest.mark.parametrize(("count", "held"), [(FEWEST_HELD - 1, np.nan), (FEWEST_HELD, 1.0)])
+def test_few_messages_do_not_tell_whether_a_number_stands_still(bag_of, count, held):
+    make = message_class("std_msgs/msg/Float64")
+    found = signals_of(bag_of([(n * 1.0, "/level", make(1.0)) for n in range(count)]))
+    assert found["signals./level/data.held"] == pytest.approx(held, nan_ok=True)
+
+
 def test_nested_fields_quaternions_covariances_and_arrays_are_signals(bag_of, messages):
     poses = [messages.odometry(n * 0.1, 0.1 * n, 0.0, 0.01 * n, 0.1) for n in range(60)]
     scan = messages.scan(0.0, [1.0] * 300)
@@ -122,6 +129,17 @@ def test_each_motor_of_a_robot_counts_by_its_place_in_the_message(tmp_path):
     assert found["signals./state/motors[2].q[1].max"] == 64.0
 
 
+def test_elements_with_a_name_and_no_number_have_no_signals(tmp_path):
+    definition = f"made_msgs/Mode[1] modes\n{'=' * 80}\nMSG: made_msgs/Mode\nstring name\n"
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/modes", "made_msgs/msg/Modes", [], TypeDefinition(definition, ""))
+        for n in range(60):
+            bag.write("/modes", n * 10**8, ENCAPSULATION + b"\x04\0\0\0run\0")
+    assert {name.rpartition(".")[0] for name in signals_of(tmp_path / "bag")} == {
+        "signals./modes/period"
+    }
+
+
 @pytest.mark.slow
 def test_numbers_count_from_when_they_come_however_long_the_recording(tmp_path):
     make = message_class("std_msgs/msg/Float64MultiArray")
@@ -156,6 +174,20 @@ def test_joints_of_arm_and_gripper_on_one_topic_count_by_their_names(bag_of):
     for name, at in (("pan", 1.0), ("lift", 2.0), ("finger", 3.0)):
         assert found[f"signals./joint_states/position[{name}].mean"] == at
         assert found[f"signals./joint_states/position[{name}].std"] == 0.0
+
+
+def test_each_status_of_diagnostics_counts_by_its_name_whoever_reports_it(bag_of):
+    make = message_class("diagnostic_msgs/msg/DiagnosticArray")
+    status = message_class("diagnostic_msgs/msg/DiagnosticStatus")
+    reports = [[("base: motor/1", 2), ("base: cpu", 0)], [("wifi", 1)]]  # of two nodes
+    found = signals_of(bag_of([
+        (n * 0.5, "/diagnostics", make(header(n * 0.5, ""), [
+            status(level, name, "", "", []) for name, level in reports[n % 2]
+        ])) for n in range(60)
+    ]))  # fmt: skip
+    for name, level in (("base: motor_1", 2.0), ("base: cpu", 0.0), ("wifi", 1.0)):
+        assert found[f"signals./diagnostics/status.{name}.level.mean"] == level
+        assert found[f"signals./diagnostics/status.{name}.level.std"] == 0.0
 
 
 def test_links_that_pass_the_pole_on_either_side_have_the_same_signals(bag_of):

@@ -37,6 +37,12 @@ def test_a_level_that_differs_between_worlds_only_does_not_count(within: float) 
         assert f"{MAP}.std" in counted  # that it changes would be news
 
 
+def test_what_is_zero_in_all_recordings_counts_since_it_may_be_an_error() -> None:
+    runs = table(np.random.default_rng(0), within=0.0)
+    runs[[f"{MAP}.{level}" for level in ("mean", "min", "max")]] = 0.0
+    assert settings_among(runs) == set()
+
+
 def test_a_signal_that_changes_within_recordings_counts() -> None:
     runs = table(np.random.default_rng(0), within=5.0)
     settings = settings_among(runs)
