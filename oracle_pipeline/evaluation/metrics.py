@@ -206,7 +206,7 @@ def auc(
     group = np.zeros(len(runs)) if within is None else within
     finite = ~np.isnan(score)
     groups = [finite & (group == name) for name in np.unique(group[finite])]
-    both = [members for members in groups if _has_both(runs.malicious[members])]
+    both = [members for members in groups if len(np.unique(runs.malicious[members])) == 2]
     if not both:
         return NOTHING
     compared = np.any(both, axis=0)
@@ -225,10 +225,6 @@ def auc(
     np.divide(won, pairs, out=values, where=pairs > 0)
     bound = newcombe_auc(float(values[0]), n_malicious, int(compared.sum()) - n_malicious, level)
     return _wider(bound, values[1:], level)
-
-
-def _has_both(malicious: NDArray[np.bool_]) -> bool:
-    return bool(malicious.any() and not malicious.all())
 
 
 def _resampled(blocks: int, rng: np.random.Generator) -> NDArray[np.float64]:

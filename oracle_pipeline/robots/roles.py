@@ -253,17 +253,14 @@ def _in_fitting_frames(
 ) -> list[str]:
     """Return the topics whose frames fit the robot's other topics best, or else all."""
     if name == ODOMETRY:  # its child frame is the body that carries the sensors
-        sensors = (*found[SCAN].topics, *(t for t in first.bag.topics if _is_imu(first.bag, t)))
+        imus = [t.name for t in first.bag.topics.values() if t.msgtype in ROLES[IMU].types]
+        sensors = (*found[SCAN].topics, *imus)
         carried = {topic: first.carried(first.child_frame(topic), sensors) for topic in topics}
         return [topic for topic in topics if carried[topic] == max(carried.values())]
     if name == MAP:  # localisation is in the frame of the map
         frames = first.frames_of(found[POSE].topics)
         return [topic for topic in topics if first.frame(topic) in frames] or topics
     return topics
-
-
-def _is_imu(bag: BagReader, topic: str) -> bool:
-    return bag.topics[topic].msgtype in ROLES[IMU].types
 
 
 def _one(topics: list[str], reason: str) -> Found:

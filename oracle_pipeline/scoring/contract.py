@@ -321,7 +321,8 @@ class Contract:
         for path, usual in self.constants.get(name, {}).items():
             now = seen.get(path)
             if now is None or (usual is None and now.startswith(LIKE)):
-                text = "changes or is missing, unlike in normal recordings"
+                always = "constant" if usual is None else textwrap.shorten(usual, 40)
+                text = f"changes or is missing; in normal recordings it is {always}"
                 yield Breach(name, f"Field {path} of topic {name} {text}.", "constant")
             elif usual is not None and (new := _new_value(now, usual)):
                 is_rounded = _is_close(new, usual)

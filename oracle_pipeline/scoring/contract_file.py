@@ -1,7 +1,6 @@
 """A contract as a text file (YAML) that a team reviews and edits; `oracle score` reads it."""
 
 import json
-import textwrap
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 import yaml
 
 from oracle_pipeline.bags import bounded_yaml
-from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.errors import OracleError, one_line
 from oracle_pipeline.bags.json_schema import faults
 from oracle_pipeline.bags.limits import LARGEST_YAML
 from oracle_pipeline.scoring.contract import Contract
@@ -47,7 +46,7 @@ def read_contract(path: Path) -> Contract:
         return Contract.from_dict(document)
     except (ValueError, TypeError) as error:
         raise ContractError(
-            f"{path} is not a contract: {textwrap.shorten(str(error), 300)}. Start from what "
+            f"{path} is not a contract: {one_line(error)}. Start from what "
             "`oracle card show CARD --contract` prints."
         ) from error
 

@@ -25,6 +25,8 @@ def farthest_features(
 ) -> tuple[Evidence, ...]:
     """Return the first few of a recording's ranked deviations, with place and time.
 
+    Of the statistics of a signal, only the first counts, and the first that windows have.
+
     Parameters
     ----------
     deviations : sequence of Deviation
@@ -34,24 +36,19 @@ def farthest_features(
         all else is outside.
     """
     where, normal = json.loads(tables.run[WHERE].iloc[0]), normal or {}
-    spans = {
-        each: _span(each, tables.windows, normal.get(each.feature)) for each in deviations[:SHOWN]
-    }
+    firsts: dict[tuple[str, bool], Deviation] = {}
+    for each in deviations:
+        is_signal, in_windows = topic_of_signal(each.feature), each.feature in tables.windows
+        source = each.feature.rpartition(".")[0] if is_signal else each.feature
+        firsts.setdefault((source, in_windows), each)
     return tuple(
         Evidence(
-            feature=deviation.feature,
-            z=deviation.z,
-            capped=deviation.capped,
-            value=deviation.value,
-            unit=deviation.unit,
-            usual_low=deviation.usual_low,
-            usual_high=deviation.usual_high,
-            where=where.get(deviation.feature) or topic_of_signal(deviation.feature) or None,
-            window_start_s=span[0],
-            window_end_s=span[1],
+            each.feature, each.z, each.capped, each.value, each.unit, each.usual_low,
+            each.usual_high, where.get(each.feature) or topic_of_signal(each.feature) or None,
+            *_span(each, tables.windows, normal.get(each.feature)),
         )
-        for deviation, span in spans.items()
-    )
+        for each in [*firsts.values()][:SHOWN]
+    )  # fmt: skip
 
 
 def window_series(

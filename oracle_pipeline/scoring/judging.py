@@ -266,6 +266,7 @@ def _scored(
     deviations = explain(others, tables.run, columns) if columns else []
     if signals:
         deviations += explain(others, tables.run, signals, SignalScaler(design.floors))
+        deviations.sort(key=lambda each: -abs(each.z))
     normal = card.scorer.scorers_[0].normal_in_windows
     evidence = farthest_features(deviations, tables, normal)
     return replace(

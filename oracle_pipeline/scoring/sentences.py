@@ -22,7 +22,7 @@ _PHRASES: Mapping[str, str] = yaml.safe_load(
 
 _STATISTICS = {
     "std": "spread", "change": "change from message to message", "held": "time without a change",
-    "missing": "share without a number",
+    "missing": "share without a number", "min": "minimum", "max": "maximum",
 }  # fmt: skip
 _QUANTIFIED = "{value}"  # phrases without it get the value at their end
 
@@ -66,8 +66,8 @@ def sentence(evidence: Evidence) -> str:
     'The robot turned 0.29 rad in all; normal runs turn 1.1 to 1.6 rad.'
     """
     unit = "" if evidence.unit in ("1", "") else f" {evidence.unit.replace('1/', 'per ', 1)}"
-    own, low, high = told_apart(evidence.value, evidence.usual_low, evidence.usual_high)
-    text = _text(evidence, f"{own}{unit}", f"{low} to {high}{unit}")
+    own, *ends = told_apart(evidence.value, evidence.usual_low, evidence.usual_high)
+    text = _text(evidence, f"{own}{unit}", f"{' to '.join(dict.fromkeys(ends))}{unit}")
     return f"{text}{_when(evidence)}."
 
 

@@ -65,7 +65,10 @@ def test_no_recording_breaches_the_contract_learned_from_it(normal):
         ({"frame": "'laser'", "range": "4"}, []),
         (
             {"range": "3"},
-            ["Field frame of topic /scan changes or is missing, unlike in normal recordings."],
+            [
+                "Field frame of topic /scan changes or is missing; in normal recordings it is "
+                "'laser'."
+            ],
         ),
         (
             {"frame": "'spy'", "range": "3"},

@@ -54,3 +54,18 @@ def test_evidence_does_not_lie_where_normal_windows_are_as_far(values, normal, e
     assert span(values, normal=normal) == expected
     mirrored = [2.0 - value for value in values]
     assert span(mirrored, -9.0, NormalRange(2.0 - normal.high, 1.0, 2.0 - normal.low)) == expected
+
+
+def test_each_signal_is_told_by_its_farthest_statistic_and_by_one_that_windows_have():
+    range_m, voltage = "signals./sonar/range", "signals./battery/voltage"
+    ranked = [f"{range_m}.min", f"{range_m}.max", f"{range_m}.std", f"{range_m}.mean", SPEED,
+              f"{voltage}.mean", f"{voltage}.std"]  # fmt: skip
+    deviations = [Deviation(name, 9.0 - n, False, 3.0, 1.0, 0.9, 1.1, "m")
+                  for n, name in enumerate(ranked)]  # fmt: skip
+    windows = pd.DataFrame({
+        "window_start_s": [0.0, 2.5], f"{range_m}.std": 1.0, f"{range_m}.mean": 1.0,
+        f"{voltage}.mean": 1.0, f"{voltage}.std": 1.0,
+    })  # fmt: skip
+    run = pd.DataFrame({"where": ["{}"]})
+    told = [each.feature for each in farthest_features(deviations, FeatureTables(run, windows))]
+    assert told == [f"{range_m}.min", f"{range_m}.std", SPEED, f"{voltage}.mean"]

@@ -44,6 +44,7 @@ def test_sentence_says_until_when_and_whether_it_lasts_all_the_time():
     [
         ("signals./odom/twist.linear.x.std", "The spread of twist.linear.x on /odom is 2.5"),
         ("signals./imu/orientation.w.held", "The time without a change of orientation.w on /imu"),
+        ("signals./sonar/range.min", "The minimum of range on /sonar is 2.5"),
         ("signals./a/b/range.missing", "The share without a number of range on /a/b is 2.5"),
     ],
 )
@@ -57,6 +58,8 @@ def test_numbers_that_differ_never_look_the_same():
     volt = evidence("signals./log/volt.mean")
     told = sentence(replace(volt, value=86.8, usual_low=84.98, usual_high=85.02))
     assert "is 86.8 m; normal runs have 84.98 to 85.02 m" in told
+    told = sentence(replace(volt, usual_low=0.0, usual_high=0.0, unit="1"))
+    assert told.startswith("The mean of volt on /log is 2.5; normal runs have 0, ")
 
 
 def test_feature_without_a_phrase_is_called_a_statistic():

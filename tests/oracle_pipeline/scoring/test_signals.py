@@ -8,8 +8,10 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 
+from oracle_pipeline.api import learn, score
 from oracle_pipeline.cli import main
 from oracle_pipeline.scoring.card import ReferenceCard
+from oracle_pipeline.scoring.sentences import headline
 
 NORMALS, TESTED = 10, 4
 MOTORS = 4
@@ -87,6 +89,21 @@ def test_features_of_motion_do_not_count_where_the_robot_hardly_moved(tmp_path):
     assert len(short.design.run_features) > 20
     assert not {"run", "windows"} & set(short.levels_)
     assert {"run", "windows"} < set(long.levels_)
+
+
+def test_evidence_begins_with_the_farthest_be_it_a_feature_or_a_signal(tmp_path):
+    rng = np.random.default_rng(3)
+    for number in range(NORMALS + 1):
+        drive = tmp_path / ("tested" if number == NORMALS else f"normal/{number}")
+        drive.mkdir(parents=True)
+        odometry(drive / "odom.csv", rng, 12)
+        time_s = np.arange(120) * 0.1
+        nearest = 1.0 + rng.normal(0.0, 0.02, 120) - (0.6 if number == NORMALS else 0.0)
+        pd.DataFrame({"time": time_s, "range": nearest}).to_csv(drive / "sonar.csv", index=False)
+    (verdict,) = score(tmp_path / "tested", learn(tmp_path / "normal"))
+    assert "range on /sonar" in headline(verdict)
+    distances = [abs(each.z) for each in verdict.evidence]
+    assert distances == sorted(distances, reverse=True)
 
 
 def odometry(path, rng, seconds):
