@@ -7,6 +7,8 @@ Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomal
 """
 
 import json
+import math
+import os
 import shlex
 import sys
 import time
@@ -58,6 +60,8 @@ class _Group(PlainTextGroup):
     def invoke(self, ctx: click.Context) -> Any:
         try:
             return super().invoke(ctx)
+        except BrokenPipeError:  # the reader has seen enough, as `head` has
+            os._exit(141)  # 128 + SIGPIPE, as of other programs
         except (OracleError, OSError) as error:
             raise _Failure(str(error)) from error
         except (click.ClickException, click.exceptions.Exit, click.Abort):
@@ -224,15 +228,17 @@ def _text(table: "Table", tables: "RecordingFeatures") -> str:
     return as_text(table.frame(), tables.notes)
 
 
+def _is_nan(value: object) -> bool:
+    return isinstance(value, float) and math.isnan(value)
+
+
 def _json(table: "Table", tables: "RecordingFeatures") -> str:
     """Return the rows of a feature table, with NaN as null, and the notes on them."""
-    import pandas as pd
-
     from oracle_pipeline.datasets import MISSING, WHERE
 
     rows = [
         {
-            **{column: None if pd.isna(value) else value for column, value in row.items()},
+            **{column: None if _is_nan(value) else value for column, value in row.items()},
             **{column: json.loads(row[column]) for column in (WHERE, MISSING)},
         }
         for row in table.rows()
@@ -359,6 +365,7 @@ def score(
         together=suite,
         check=fault_sentences,
     )
+    write_junit(verdicts)
     if file_format == "json":
         click.echo(output.as_json(verdicts, far, normal.notes))
     else:
@@ -367,7 +374,6 @@ def score(
         else:
             text = output.as_text(verdicts, far, normal.notes, together=suite, verbose=verbose)
         click.echo(f"{text}{output.tally(verdicts)} in {time.perf_counter() - started:.1f} s")
-    write_junit(verdicts)
     if badge is not None:
         from oracle_pipeline.reporting.badge import as_badge
 

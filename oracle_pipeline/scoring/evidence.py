@@ -38,9 +38,8 @@ def farthest_features(
     where, normal = json.loads(tables.run[WHERE].iloc[0]), normal or {}
     firsts: dict[tuple[str, bool], Deviation] = {}
     for each in deviations:
-        is_signal, in_windows = topic_of_signal(each.feature), each.feature in tables.windows
-        source = each.feature.rpartition(".")[0] if is_signal else each.feature
-        firsts.setdefault((source, in_windows), each)
+        signal = topic_of_signal(each.feature) and each.feature.rpartition(".")[0]
+        firsts.setdefault((signal or each.feature, each.feature in tables.windows), each)
     return tuple(
         Evidence(
             each.feature, each.z, each.capped, each.value, each.unit, each.usual_low,

@@ -2,6 +2,7 @@ import contextlib
 import json
 import os
 import pty
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -102,6 +103,15 @@ sys.exit(", ".join({heavy} & sys.modules.keys()))
     )
     assert done.stderr.strip() == ""
     assert json.loads(done.stdout)["rows"]
+
+
+def test_a_reader_that_has_seen_enough_is_no_failure(make_run):
+    done = subprocess.Popen(
+        [ORACLE, "features", make_run().path], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    done.stdout.close()  # as `| head` does
+    assert done.stderr.read() == b""
+    assert done.wait() == 128 + signal.SIGPIPE
 
 
 def test_json_can_go_to_a_file(make_run, tmp_path):
