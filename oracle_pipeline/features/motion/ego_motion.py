@@ -82,11 +82,10 @@ def slope(track: Motion, quantity: str, from_s: Floats, to_s: Floats) -> Points:
 def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> MotionSources:
     """Return the sources of motion in the messages on `MOTION_TOPICS`."""
     driven, inertial = topics["driven"], topics["inertial"]
-    poses = [_posed(topic, series) for topic, series in _long(driven)]
-    poses = poses or list(_transformed(topics["transforms"]))
-    places = list(_places(topics, poses))
-    others = [*(places if poses else ()), *_fixes(topics["fixes"])]
-    poses = poses or places
+    posed = [_posed(topic, series) for topic, series in _long(driven)]
+    posed = posed or list(_transformed(topics["transforms"]))
+    places, fixes = list(_places(topics, posed)), list(_fixes(topics["fixes"]))
+    poses, *others = [tracks for tracks in (posed, places, fixes) if tracks] or [[]]
     mounts = {
         topic: setup.tree.mount(series.values[0])
         for topic, series in topics["inertial_frames"].items()
@@ -103,7 +102,7 @@ def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> 
     )
     tracks: dict[str, list[Motion]] = {
         POSE: poses,
-        PLACE: others,
+        PLACE: list(itertools.chain(*others)),
         TWIST: [_twisted(topic, series) for topic, series in _long(driven)],
         GYRO: gyros,
         ORIENTATION: [_oriented(*unit) for unit in units if _has_orientation(unit[1])],
@@ -115,10 +114,10 @@ def sources(topics: Mapping[str, Mapping[str, Series]], setup: ScannerSetup) -> 
         ANGLES: [_spun(*each) for each in by_position.items()],
         RATES: [_spun(*each) for each in by_velocity.items()],
         COMMAND: [
-            _commanded(topic, series, poses[0]) for topic, series in _long(topics["commands"])
-        ]
-        if poses
-        else [],
+            _commanded(topic, series, clock)
+            for clock in [*poses, *gyros][:1]
+            for topic, series in _long({**topics["commands"], **topics["steered"]})
+        ],
     }
     matched = {topic: steps(setup.scanners[topic], mount) for topic, mount in setup.mounts.items()}
     gravity = {
@@ -208,6 +207,12 @@ def keep_command(messages: Any) -> tuple[Floats, Floats, Floats]:
     return twist.linear.x, twist.linear.y, twist.angular.z
 
 
+def _keep_steered(messages: Any) -> tuple[Floats, Floats, Floats]:
+    """Return the velocities of ``AckermannDrive``s, as of a car whose axles are 1 m apart."""
+    drive = getattr(messages, "drive", messages)
+    return drive.speed, np.zeros(len(messages)), drive.speed * np.tan(drive.steering_angle)
+
+
 MOVING = Request(keep_transforms, role=TRANSFORMS, dtype=object, optional=True, many=True)
 MOTION_TOPICS = SETUP_TOPICS | {
     "scans": replace(SCANS, optional=True),
@@ -227,6 +232,9 @@ MOTION_TOPICS = SETUP_TOPICS | {
     "transforms": MOVING,
     "commands": Request(
         keep_command, msgtype="geometry_msgs/msg/Twist*", optional=True, many=True
+    ),
+    "steered": Request(
+        _keep_steered, msgtype="ackermann_msgs/msg/AckermannDrive*", optional=True, many=True
     ),
 }  # fmt: skip
 

@@ -74,6 +74,7 @@ PAIRS = (
     Pair(ego.TURN, ego.GYRO, ego.SCAN),
     Pair(ego.TURN, ego.PLACE, ego.POSE),
     Pair(ego.TURN, ego.COMMAND, ego.POSE),
+    Pair(ego.TURN, ego.COMMAND, ego.GYRO),
     Pair(ego.TRAVEL, ego.POSE, ego.TWIST),
     Pair(ego.TRAVEL, ego.POSE, ego.JOINTS),
     Pair(ego.TRAVEL, ego.POSE, ego.SCAN),
@@ -108,32 +109,25 @@ def _floors(pair: Pair) -> tuple[float, float, float, float]:
 
 
 def _features() -> Iterator[fp.Feature]:
+    furthest, left = "value furthest from 0 over the topics", "the residual, after scale and lag,"
     for pair in PAIRS:
         scale, lag, residual, drift = _floors(pair)
-        what = f"{pair.quantity} from {pair.second} relative to {pair.first}"
-        yield fp.Feature(
-            pair.column("scale"), "1", scale,
-            f"ln of the scale of {what}; value furthest from 0 over the topics", "domain",
-        )  # fmt: skip
-        yield fp.Feature(
-            pair.column("lag"), "s", lag,
-            f"delay of {what}; value furthest from 0 over the topics", "domain", timing=True,
-        )  # fmt: skip
-        yield fp.Feature(
-            pair.column("residual"), _UNITS[pair.quantity], residual,
-            f"root mean square of the residual, after scale and lag, of {what}; "
-            "maximum over the topics", "domain", timing=True,
-        )  # fmt: skip
-        yield fp.Feature(
-            pair.column("drift"), _UNITS[pair.quantity], drift,
-            f"mean of the residual, after scale and lag, of {what}; "
-            "value furthest from 0 over the topics", "domain", timing=True,
-        )  # fmt: skip
-        if pair.is_directed:
-            yield fp.Feature(
-                pair.column("bearing"), "rad", 5e-3,
-                f"direction of {what}; value furthest from 0 over the topics", "domain",
-            )  # fmt: skip
+        what, rate = f"{pair.quantity} from {pair.second} relative to {pair.first}", _UNITS[pair[0]]
+        columns = {
+            "scale": ("1", scale, f"ln of the scale of {what}; {furthest}"),
+            "lag": ("s", lag, f"delay of {what}; {furthest}"),
+            "residual": (
+                rate,
+                residual,
+                f"root mean square of {left} of {what}; maximum over the topics",
+            ),
+            "drift": (rate, drift, f"mean of {left} of {what}; {furthest}"),
+            "bearing": ("rad", 5e-3, f"direction of {what}; {furthest}"),
+        }
+        for statistic in pair.statistics:
+            timing = statistic in ("lag", "residual", "drift")
+            name = pair.column(statistic)
+            yield fp.Feature(name, *columns[statistic], "domain", timing=timing)
     yield fp.Feature(
         "gravity", "m/s^2", 0.02, "median magnitude of an IMU's linear acceleration; maximum over "
         "the topics", "domain",

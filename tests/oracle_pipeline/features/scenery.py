@@ -66,7 +66,14 @@ def extract(
 ) -> tuple[dict[str, float], dict[str, str], dict[str, str]]:
     """Values of a recording, where they are, and what is missing; without the family's name."""
     write_bag(folder / "robot", recorded)
-    with open_run(folder / "robot") as run:
+    return of_bag(plugins, folder / "robot")
+
+
+def of_bag(
+    plugins: Sequence[FeaturePlugin], path: Path
+) -> tuple[dict[str, float], dict[str, str], dict[str, str]]:
+    """Values of a bag, where they are, and what is missing; without the family's name."""
+    with open_run(path) as run:
         table = features.extract(run, FeatureManager(tuple(plugins))).run
     row = table.iloc[0].to_dict()
     values = {name: value for name, value in row.items() if "." in name}

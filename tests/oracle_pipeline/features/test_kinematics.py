@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oracle_pipeline.bags.types import message_class
+from oracle_pipeline.bags.cdr import ENCAPSULATION
+from oracle_pipeline.bags.types import TypeDefinition, message_class, serialize
+from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.features.motion import kinematics
 from oracle_pipeline.features.motion.kinematics import fit
 from tests.oracle_pipeline.features.scenery import (
@@ -17,6 +19,7 @@ from tests.oracle_pipeline.features.scenery import (
     extract,
     header,
     odometry_message,
+    of_bag,
     quaternion,
     recording,
 )
@@ -160,7 +163,11 @@ def test_the_radius_of_the_wheels_and_their_distance_are_estimated(honest):
         ("gyro", ("turn_scale_pose_gyro",), ("turn_scale_gyro_orientation",)),
         ("wheels", ("travel_scale_pose_joints", "turn_scale_gyro_joints"), ()),
         ("rates", ("spin_scale_angles_rates",), ()),
-        ("command", (), ("travel_scale_command_pose", "turn_scale_command_pose")),
+        (
+            "command",
+            (),
+            ("travel_scale_command_pose", "turn_scale_command_pose", "turn_scale_command_gyro"),
+        ),
         ("scan", ("travel_scale_pose_scan", "travel_scale_joints_scan"), ()),
     ],
 )
@@ -265,6 +272,26 @@ def test_places_stand_in_for_odometry(tmp_path):
     values, where, _ = extract(PLUGINS, kept, tmp_path)
     assert values["turn_scale_pose_gyro"] == pytest.approx(np.log(1.05), abs=0.012)
     assert where["turn_scale_pose_gyro"] == "/told against /inertia"
+
+
+def test_a_car_without_odometry_is_compared_with_its_steering(tmp_path):
+    fields = "steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk"
+    steering = TypeDefinition("".join(f"float32 {name}\n" for name in fields), "")
+    with BagWriter(tmp_path / "robot") as bag:
+        bag.add_topic("/drive", "ackermann_msgs/msg/AckermannDrive", [], steering)
+        for time_s, topic, message in robot(gyro=1.05, told=1.1):
+            at_ns = round(time_s * 1e9)
+            if topic == "/wanted":
+                speed, rate = message.linear.x, message.angular.z
+                drive = np.array([np.arctan2(rate, speed), 0, speed, 0, 0], np.float32)
+                bag.write("/drive", at_ns, ENCAPSULATION + drive.tobytes())
+            elif topic in ("/inertia", "/fix", "/tf_static"):
+                bag.add_topic(topic, message.__msgtype__, [])
+                bag.write(topic, at_ns, serialize(message, message.__msgtype__))
+    values, where, _ = of_bag(PLUGINS, tmp_path / "robot")
+    assert values["turn_scale_command_gyro"] == pytest.approx(np.log(1.05), abs=0.012)
+    assert values["travel_scale_command_pose"] == pytest.approx(np.log(1.1), abs=0.012)
+    assert where["travel_scale_command_pose"] == "/drive against /fix"
 
 
 def test_without_odometry_the_others_are_still_compared(tmp_path):
