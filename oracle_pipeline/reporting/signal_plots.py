@@ -24,7 +24,7 @@ class SignalPlot(NamedTuple):
     feature: str
     unit: str
     lines: Sequence[str]  # points of a line for each stretch without a missing value
-    band: tuple[float, float]  # y and height of the normal range
+    band: tuple[float, float] | None  # y and height of the normal range, if known
     evidence: tuple[float, float] | None  # x and width of the time that deviates most
     low: str  # value at the lower and at the upper end
     high: str
@@ -60,7 +60,8 @@ def signal_plots(verdict: Verdict, length: float) -> list[SignalPlot]:
 
 def _plot(evidence: Evidence, series: WindowSeries, length: float) -> SignalPlot:
     values = np.array([np.nan if value is None else value for value in series.values])
-    ends = [*values[np.isfinite(values)], series.normal_low, series.normal_high]
+    normal = [end for end in (series.normal_high, series.normal_low) if end is not None]
+    ends = [*values[np.isfinite(values)], *normal]
     low, high = min(ends), max(ends)
     span = high - low or 1.0
 
@@ -68,14 +69,14 @@ def _plot(evidence: Evidence, series: WindowSeries, length: float) -> SignalPlot
         return np.asarray(np.round(HEIGHT * (high - value) / span, 1), dtype=np.float64)
 
     x = np.round(WIDTH * (np.array(series.start_s) + WINDOW_S / 2) / length, 1)
-    top, bottom = y(np.array([series.normal_high, series.normal_low])).tolist()
+    band = y(np.array(normal)).tolist()  # top and bottom, if known
     since, until = evidence.window_start_s, evidence.window_end_s or length
-    range_ = f"{rounded(series.normal_low)} to {rounded(series.normal_high)}"
+    range_ = " to ".join(rounded(end) for end in reversed(normal)) or "an unknown range"
     return SignalPlot(
         series.feature,
         "" if series.unit == "1" else series.unit,
         list(_lines(x, y(values))),
-        (top, round(bottom - top, 1)),
+        (band[0], round(band[1] - band[0], 1)) if band else None,
         None if since is None else (WIDTH * since / length, WIDTH * (until - since) / length),
         rounded(low, 3),
         rounded(high, 3),

@@ -61,17 +61,18 @@ def window_series(
     windows : DataFrame
         Of the recording, one row each.
     normal : mapping of str to NormalRange
-        Range of a feature in normal windows.
+        Range of a feature in normal windows, where the reference has it.
     """
     starts = tuple(windows[WINDOW_START].tolist())
     found = []
     for each in evidence:
-        if each.feature in normal and each.feature in windows.columns:
-            values = [v if math.isfinite(v) else None for v in windows[each.feature].tolist()]
-            known = [value for value in values if value is not None]
-            low, usual, high = normal[each.feature]
-            if math.isinf(high):  # as far as the values reach
-                low, high = min([usual, *known]), max([usual, *known])
+        values = [v if math.isfinite(v) else None for v in windows.get(each.feature, [])]
+        known = [value for value in values if value is not None]
+        within = normal.get(each.feature)
+        low, high = (within.low, within.high) if within else (None, None)
+        if within and math.isinf(within.high):  # as far as the values reach
+            low, high = min([within.usual, *known]), max([within.usual, *known])
+        if known:
             found.append(WindowSeries(each.feature, each.unit, starts, tuple(values), low, high))
     return tuple(found)
 

@@ -38,14 +38,14 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class WindowSeries:
-    """A feature in the windows of a recording, and the range that it has in normal windows."""
+    """A feature in the windows of a recording, and its range in normal windows, None if unknown."""
 
     feature: str
     unit: str
     start_s: tuple[float, ...]  # of each window
     values: tuple[float | None, ...]  # None where it is missing
-    normal_low: float
-    normal_high: float
+    normal_low: float | None
+    normal_high: float | None
 
 
 @dataclass(frozen=True, slots=True)

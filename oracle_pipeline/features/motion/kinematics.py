@@ -126,8 +126,7 @@ def _features() -> Iterator[fp.Feature]:
         }
         for statistic in pair.statistics:
             timing = statistic in ("lag", "residual", "drift")
-            name = pair.column(statistic)
-            yield fp.Feature(name, *columns[statistic], "domain", timing=timing)
+            yield fp.Feature(pair.column(statistic), *columns[statistic], "domain", timing=timing)
     yield fp.Feature(
         "gravity", "m/s^2", 0.02, "median magnitude of an IMU's linear acceleration; maximum over "
         "the topics", "domain",

@@ -34,7 +34,7 @@ def anomalous(recording, **more):
     return Verdict(
         str(recording), "anomalous", p_value=0.05, suite_p_value=0.05, score=9.0, features=170,
         normal_runs=19, normal_blocks=19, evidence=evidence, families=families,
-        series=(WindowSeries(FEATURE, "1", STARTS_S, VALUES, 0.0, 0.02),), **more,
+        **{"series": (WindowSeries(FEATURE, "1", STARTS_S, VALUES, 0.0, 0.02),), **more},
     )  # fmt: skip
 
 
@@ -74,6 +74,14 @@ def test_a_plot_draws_the_values_of_windows_against_what_normal_windows_reach():
     assert plot.band == pytest.approx((100 * 0.04 / 0.06, 100 * 0.02 / 0.06), abs=0.1)
     assert plot.evidence == (250.0, 750.0)  # from 5 s on
     assert min(y for _, y in drawn[0]) < plot.band[0]
+
+
+def test_what_windows_of_the_reference_lack_is_drawn_without_their_range():
+    series = WindowSeries(FEATURE, "1", STARTS_S, VALUES, None, None)
+    (plot,) = signal_plots(anomalous("a", series=(series,)), length=20.0)
+    assert len(plot.lines) == 2
+    assert plot.band is None
+    assert "an unknown range" in plot.words
 
 
 def test_a_recording_that_cannot_be_drawn_keeps_its_verdict_with_a_note(tmp_path, page):
