@@ -187,10 +187,10 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> SetComp
     )
 
 
-def _place(tested: tuple[str, float, float, float]) -> tuple[bool, float]:
-    """Return the place of a difference: known quantities come first, then the largest."""
+def _place(tested: tuple[str, float, float, float]) -> tuple[int, float]:
+    """Return the place of a difference: known quantities, then signals, then bytes and rates."""
     column, size, *_ = tested
-    return column.startswith(SIGNALS), -size
+    return 2 if column.startswith("generic.") else int(column.startswith(SIGNALS)), -size
 
 
 def _check_size(reference: Reference) -> None:

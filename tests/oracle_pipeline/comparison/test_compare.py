@@ -47,7 +47,7 @@ def test_the_comment_says_what_changed_by_how_much_and_what_did_not() -> None:
     assert "`odd?<b>?name.value`" in told  # inside code, no markup of a name counts
 
 
-def test_signals_of_any_robot_are_compared_and_come_after_known_features() -> None:
+def test_signals_are_compared_and_come_after_known_features_and_before_bytes() -> None:
     rng = np.random.default_rng(0)
     first, second = reference(np.arange(8.0)), reference(np.arange(8.0))
     signal = "signals./joints/error[0].std"
@@ -56,7 +56,10 @@ def test_signals_of_any_robot_are_compared_and_come_after_known_features() -> No
     (only,) = compare(first, second).differences
     assert (only.feature, only.family) == (signal, "signals")
     second.table["drive.path"] += 20.0 + rng.normal(size=8)  # less certain than the signal
-    assert [d.feature for d in compare(first, second).differences] == ["drive.path", signal]
+    size = "generic.byte_rate"
+    first.table[size], second.table[size] = rng.normal(0.0, 1.0, 8), rng.normal(900.0, 1.0, 8)
+    found = [each.feature for each in compare(first, second).differences]
+    assert found == ["drive.path", signal, size]
 
 
 def test_a_difference_far_below_the_spread_of_a_signal_does_not_count() -> None:
