@@ -230,16 +230,16 @@ class CrossConformalScorer:
         """Return what each level counts for recordings of so many windows, (n_runs, n_levels).
 
         A mean over a short recording scatters more, by the root of its length. Signals depend on
-        the way, so their distances over a shorter or longer one do not count beside others.
+        the way, so their statistics over a shorter or longer one do not count beside others.
         """
         weights = np.ones((len(counts), len(self.levels_)))
         if self.lengths is None:
             return weights
         of_whole = np.array([level not in run_scorer.OF_WINDOWS for level in self.levels_])
         weights[:, of_whole] = np.sqrt(np.minimum(counts / self.lengths[0], 1.0))[:, np.newaxis]
-        distances = np.array([level in run_scorer.DISTANCES for level in self.levels_])
-        if self.design.uses_features:
-            weights[np.ix_(is_outside(counts, self.lengths), distances)] = 0.0
+        reaching = np.array([level in run_scorer.WHOLE_SIGNALS for level in self.levels_])
+        if not reaching.all():
+            weights[np.ix_(is_outside(counts, self.lengths), reaching)] = 0.0
         return weights
 
     def _combined(

@@ -37,7 +37,7 @@ from oracle_pipeline.scoring.conformal import adjusted_for_suite, runs_needed
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.evidence import farthest_features, window_series
-from oracle_pipeline.scoring.lengths import comparable_tables
+from oracle_pipeline.scoring.lengths import comparable_tables, is_outside
 from oracle_pipeline.scoring.likeness import LEAST, likeness
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.verdict import (
@@ -255,6 +255,8 @@ def _scored(
     signals = [column for column in design.run_signals if column in tables.run.columns]
     if design.uses_features:
         columns, notes = shared_features(tables.run, card.runs, design.run_features)
+        if is_outside(len(tables.windows), card.scorer.lengths):
+            signals = []  # they do not count for a recording of another length
     else:
         _, notes = shared_features(tables.run, card.runs, design.run_signals)
     block = _known_block(tables.run, card)
@@ -329,9 +331,7 @@ def _compared(
         if any(t.always and name not in seen.topics for name, t in card.contract.topics.items()):
             tables = _without_rates(tables)
     breaches, notes = _lines_of_contract(card, seen, tables, usual)
-    tables, of_length = comparable_tables(
-        tables, card.scorer.lengths, by_features=card.scorer.design.uses_features
-    )
+    tables, of_length = comparable_tables(tables, card.scorer.lengths)
     verdict = Verdict(
         name,
         "unsupported",  # until `decide_suite` sets the outcome

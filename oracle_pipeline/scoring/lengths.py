@@ -2,8 +2,7 @@
 
 Another length is not another behaviour. What grows with the length, such as the time with a goal,
 is left out then: what the robot did for each metre, minute or planned metre are features of their
-own. Of signals beside features, changes between messages and missing numbers are left. How the
-scores of such a recording count is in ``CrossConformalScorer.scores``.
+own. How the scores of such a recording count is in ``CrossConformalScorer.scores``.
 """
 
 import json
@@ -12,17 +11,16 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oracle_pipeline.datasets import MISSING, field_metadata, signal_columns
+from oracle_pipeline.datasets import MISSING, feature_columns, field_metadata
 from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
 CLEARLY = 0.1  # share of the lengths, by which a recording has another one
-_RATES = ".change", ".missing"  # statistics of signals that do not depend on the length
 _GROWS = "it grows with the length of a recording"
 
 
 def comparable_tables(
-    tables: FeatureTables, lengths: tuple[int, int] | None, *, by_features: bool = True
+    tables: FeatureTables, lengths: tuple[int, int] | None
 ) -> tuple[FeatureTables, tuple[str, ...]]:
     """Return the tables to compare with recordings of other lengths, and a note on it.
 
@@ -32,18 +30,18 @@ def comparable_tables(
         Of one recording.
     lengths : tuple of int or None
         ``CrossConformalScorer.lengths``.
-    by_features : bool
-        Whether features count, too; signals that count alone are left as they are.
     """
     if lengths is None or not is_outside(len(tables.windows), lengths):
         return tables, ()
     windows = len(tables.windows)
     fields = field_metadata(tables.run)
-    growing = [c for c, of in fields.items() if of.get("extensive") == "true" and c in tables.run]
-    levels = [c for c in signal_columns(tables.run) if by_features and not c.endswith(_RATES)]
+    growing = [
+        column
+        for column in feature_columns(tables.run)
+        if fields.get(column, {}).get("extensive") == "true"
+    ]
     reasons = json.loads(tables.run[MISSING].iloc[0]) | dict.fromkeys(growing, _GROWS)
-    run = tables.run.assign(**dict.fromkeys(growing + levels, math.nan))
-    run[MISSING] = json.dumps(reasons)
+    run = tables.run.assign(**dict.fromkeys(growing, math.nan), **{MISSING: json.dumps(reasons)})
     run.attrs = tables.run.attrs
     note = (
         f"It is {'longer' if windows > lengths[1] else 'shorter'} than all normal recordings: "

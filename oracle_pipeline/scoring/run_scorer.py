@@ -28,8 +28,8 @@ from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
 OF_FEATURES = ("run", "windows")
 BEYOND = {"range": 30, "farthest": 1}  # how many signals beyond their range count
-DISTANCES = ("signals", "topics")
-OF_SIGNALS = (*DISTANCES, *BEYOND, "signal windows")
+WHOLE_SIGNALS = ("signals", "topics", *BEYOND)
+OF_SIGNALS = (*WHOLE_SIGNALS, "signal windows")
 _BY_TOPIC = ("topics", "signal windows")
 PLAIN = "plain"  # level of a detector that a user named, alone
 PLAIN_STATISTICS = ("mean", "std", "min", "max", "change")  # of signals, for it and for "range"
