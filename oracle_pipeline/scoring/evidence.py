@@ -8,14 +8,26 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.datasets import WHERE, WINDOW_START, topic_of_signal
-from oracle_pipeline.detectors import Deviation
+from oracle_pipeline.detectors import Deviation, SignalScaler, explain
 from oracle_pipeline.features import FeatureTables
-from oracle_pipeline.scoring.run_scorer import NormalRange
+from oracle_pipeline.scoring.run_scorer import Design, NormalRange
 from oracle_pipeline.scoring.verdict import Evidence, WindowSeries
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
 SHOWN = 5  # features listed with a verdict
 _STILL_FAR = 0.5  # share of the largest distance down to which a change lasts
+
+
+def ranked_deviations(
+    normal: pd.DataFrame, run: pd.DataFrame, features: Sequence[str], design: Design
+) -> list[Deviation]:
+    """Return some features, and the signals of a design, that are outside their normal range.
+
+    The farthest is first, be it a feature or a signal.
+    """
+    found, signals = explain(normal, run, features) if features else [], design.run_signals
+    found += explain(normal, run, signals, SignalScaler(design.floors)) if signals else []
+    return sorted(found, key=lambda each: -abs(each.z))
 
 
 def farthest_features(
@@ -92,8 +104,7 @@ def _span(
     if deviation.feature not in windows.columns or windows[deviation.feature].nunique() < 2:
         return None, None
     values = windows[deviation.feature].to_numpy(dtype=np.float64)
-    middle = float(np.nanmedian(values))
-    low, usual, high = normal or NormalRange(middle, middle, middle)
+    low, usual, high = normal or [float(np.nanmedian(values))] * 3
     distance = np.sign(deviation.z) * (values - usual)
     distance[(low <= values) & (values <= high)] = 0.0
     farthest = int(np.nanargmax(distance))

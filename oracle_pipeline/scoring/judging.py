@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.datasets import MISSING
-from oracle_pipeline.detectors import SignalScaler, by_family, explain
+from oracle_pipeline.detectors import by_family
 from oracle_pipeline.features import FeatureManager, FeatureTables
 from oracle_pipeline.features.signals.collector import CUT
 from oracle_pipeline.logs.formats import recordings_at
@@ -36,7 +36,7 @@ from oracle_pipeline.scoring.comparable import (
 from oracle_pipeline.scoring.conformal import adjusted_for_suite, runs_needed
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
-from oracle_pipeline.scoring.evidence import farthest_features, window_series
+from oracle_pipeline.scoring.evidence import farthest_features, ranked_deviations, window_series
 from oracle_pipeline.scoring.lengths import comparable_tables, is_outside
 from oracle_pipeline.scoring.likeness import LEAST, likeness
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
@@ -263,10 +263,8 @@ def _scored(
     if block != NO_BLOCK:
         notes.append("Its block is part of the reference: all runs of that block are left out.")
     others = card.runs[card.runs["block"] != block]
-    deviations = explain(others, tables.run, columns) if columns else []
-    if signals:
-        deviations += explain(others, tables.run, signals, SignalScaler(design.floors))
-        deviations.sort(key=lambda each: -abs(each.z))
+    design = replace(design, run_signals=signals)
+    deviations = ranked_deviations(others, tables.run, columns, design)
     normal = card.scorer.scorers_[0].normal_in_windows
     evidence = farthest_features(deviations, tables, normal)
     return replace(

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from oracle_pipeline.bags.terminal import aligned_lines, count_of
-from oracle_pipeline.detectors import FamilyDeviation, explain
+from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.alarms import RATE_PER_H
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.conformal import runs_needed
+from oracle_pipeline.scoring.evidence import ranked_deviations
 from oracle_pipeline.scoring.selection import recordings_for
 from oracle_pipeline.scoring.sentences import far_out, headline, rounded
 from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
@@ -77,22 +78,17 @@ def tally(verdicts: Sequence[Verdict]) -> str:
 
 def as_json(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> str:
     """Return one JSON object: the worst outcome, and each verdict with its basis."""
-    document = {
+    document: dict[str, Any] = {
         "outcome": worst(verdicts),
         "false_alarm_rate": far,
         "notes": list(notes),
         "recordings": [
-            {**_without_series(verdict), "summary": headline(verdict)} for verdict in verdicts
+            {**dataclasses.asdict(verdict), "summary": headline(verdict)} for verdict in verdicts
         ],
     }
+    for recording in document["recordings"]:
+        del recording["series"]  # `oracle features` prints all windows
     return json.dumps(document, indent=2, allow_nan=False)
-
-
-def _without_series(verdict: Verdict) -> dict[str, Any]:
-    """Return a verdict as a document; `oracle features` prints all windows."""
-    document = dataclasses.asdict(verdict)
-    del document["series"]
-    return document
 
 
 def in_brief(verdicts: Sequence[Verdict]) -> str:
@@ -130,8 +126,7 @@ def as_text(
         lines.append(BREACH)
     lines += [*shared, *notes[:_MOST_NOTES]]
     if (more := len(notes) - _MOST_NOTES) > 0:
-        count = count_of(more, "more note")
-        lines.append(f"and {count} on the reference; --format json lists all.")
+        lines.append(f"and {count_of(more, 'more note')} on the reference; --format json has all.")
     return "\n".join([*lines, *cards(verdicts), ""])
 
 
@@ -273,9 +268,9 @@ def _outliers_as_text(card: ReferenceCard) -> list[str]:
 
 def _outlier_as_text(card: ReferenceCard, row: int) -> str:
     """Return score and most unusual feature of a recording, compared with other blocks."""
-    runs = card.runs
+    runs, design = card.runs, card.scorer.design
     others = runs[runs["block"] != runs["block"].iloc[row]]
-    deviations = explain(others, runs.iloc[[row]], card.scorer.design.run_features)
+    deviations = ranked_deviations(others, runs.iloc[[row]], design.run_features, design)
     told = [f", {each.feature} = {each.value:.3g}" for each in deviations[:1]]
     return f"    {runs['run_id'].iloc[row]}: score {card.scorer.held_out_[row]:.3g}{''.join(told)}"
 
@@ -326,18 +321,13 @@ def breaches(verdict: Verdict, rest: str) -> Iterator[str]:
 
 def beside(verdict: Verdict) -> Iterator[str]:
     """Yield what is known beside the verdict: tampering or misbehaviour, and alarms over time."""
-    yield from _aspects(verdict)
-    yield from _alarms(verdict)
-
-
-def _aspects(verdict: Verdict) -> Iterator[str]:
-    """Yield a line with the p-values of tampering and misbehaviour."""
     scored = [
         f"{name} p = {aspect.suite_p_value:.3g} (score {aspect.score:.3g})"
         for name, aspect in verdict.aspects.items()
     ]
     if scored:
         yield f"{', '.join(scored).capitalize()}."
+    yield from _alarms(verdict)
 
 
 def _alarms(verdict: Verdict) -> Iterator[str]:
