@@ -8,7 +8,6 @@ Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomal
 
 import json
 import math
-import os
 import shlex
 import sys
 import time
@@ -60,8 +59,6 @@ class _Group(PlainTextGroup):
     def invoke(self, ctx: click.Context) -> Any:
         try:
             return super().invoke(ctx)
-        except BrokenPipeError:  # the reader has seen enough, as `head` has
-            os._exit(141)  # 128 + SIGPIPE, as of other programs
         except (OracleError, OSError) as error:
             raise _Failure(str(error)) from error
         except (click.ClickException, click.exceptions.Exit, click.Abort):
@@ -221,15 +218,15 @@ def _print_roles(recording: Path, *, strict: bool) -> None:
         click.echo(roles_as_text(find_robots(run.bag)))
 
 
+def _is_nan(value: object) -> bool:
+    return isinstance(value, float) and math.isnan(value)
+
+
 def _text(table: "Table", tables: "RecordingFeatures") -> str:
     """Return a feature table for reading, and the notes on it."""
     from oracle_pipeline.features.engine.table_text import as_text
 
     return as_text(table.frame(), tables.notes)
-
-
-def _is_nan(value: object) -> bool:
-    return isinstance(value, float) and math.isnan(value)
 
 
 def _json(table: "Table", tables: "RecordingFeatures") -> str:

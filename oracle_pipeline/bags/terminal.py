@@ -9,6 +9,7 @@ import atexit
 import contextlib
 import gc
 import logging
+import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar, cast
@@ -84,7 +85,14 @@ class _Stream:
 
 
 class PlainTextGroup(click.Group):
-    """A group of commands that can send only plain text to a terminal."""
+    """A group of commands that can send only plain text to a terminal, and may be cut short."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command, and end quietly where the reader of its output does."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError:  # the reader has seen enough, as `head` has
+            os._exit(141)  # 128 + SIGPIPE, as of other programs
 
     def main(self, *arguments: Any, **settings: Any) -> Any:
         """Run a command, with its errors, on streams that take no control characters."""

@@ -105,10 +105,10 @@ sys.exit(", ".join({heavy} & sys.modules.keys()))
     assert json.loads(done.stdout)["rows"]
 
 
-def test_a_reader_that_has_seen_enough_is_no_failure(make_run):
-    done = subprocess.Popen(
-        [ORACLE, "features", make_run().path], stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    )
+@pytest.mark.parametrize("program", [ORACLE, ORACLE.with_name("oracle-sim")], ids=["", "sim"])
+def test_a_reader_that_has_seen_enough_is_no_failure(make_run, program):
+    words = ["features", make_run().path] if program == ORACLE else ["scenario", "list"]
+    done = subprocess.Popen([program, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     done.stdout.close()  # as `| head` does
     assert done.stderr.read() == b""
     assert done.wait() == 128 + signal.SIGPIPE
