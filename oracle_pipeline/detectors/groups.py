@@ -48,7 +48,7 @@ class SignalScaler(FlooredRobustScaler):
     is_constant_ : ndarray of bool, shape (len(kept_),)
     """
 
-    of_zero = 1e-6
+    of_zero = 1e-6  # above rounding errors, and below any change that means something
 
     def fit(self, X: pd.DataFrame, y: None = None) -> Self:  # noqa: ARG002  # scikit-learn passes it
         """Learn centre and scale from the rows of `X`, shape (n_runs, n_features)."""

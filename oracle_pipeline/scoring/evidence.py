@@ -25,8 +25,9 @@ def ranked_deviations(
 
     The farthest is first, be it a feature or a signal.
     """
-    found, signals = explain(normal, run, features) if features else [], design.run_signals
-    found += explain(normal, run, signals, SignalScaler(design.floors)) if signals else []
+    found = explain(normal, run, features) if features else []
+    if design.run_signals:
+        found += explain(normal, run, design.run_signals, SignalScaler(design.floors))
     return sorted(found, key=lambda each: -abs(each.z))
 
 

@@ -1,11 +1,10 @@
 """Formats verdicts as text and JSON, and gives the exit code."""
 
-import dataclasses
 import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from typing import Any
+from dataclasses import asdict
 
 import numpy as np
 
@@ -78,16 +77,16 @@ def tally(verdicts: Sequence[Verdict]) -> str:
 
 def as_json(verdicts: Sequence[Verdict], far: float, notes: Sequence[str]) -> str:
     """Return one JSON object: the worst outcome, and each verdict with its basis."""
-    document: dict[str, Any] = {
+    document = {
         "outcome": worst(verdicts),
         "false_alarm_rate": far,
         "notes": list(notes),
         "recordings": [
-            {**dataclasses.asdict(verdict), "summary": headline(verdict)} for verdict in verdicts
+            # `oracle features` prints all windows
+            {**{k: v for k, v in asdict(each).items() if k != "series"}, "summary": headline(each)}
+            for each in verdicts
         ],
     }
-    for recording in document["recordings"]:
-        del recording["series"]  # `oracle features` prints all windows
     return json.dumps(document, indent=2, allow_nan=False)
 
 
@@ -126,7 +125,8 @@ def as_text(
         lines.append(BREACH)
     lines += [*shared, *notes[:_MOST_NOTES]]
     if (more := len(notes) - _MOST_NOTES) > 0:
-        lines.append(f"and {count_of(more, 'more note')} on the reference; --format json has all.")
+        count = count_of(more, "more note")
+        lines.append(f"and {count} on the reference; --format json lists all.")
     return "\n".join([*lines, *cards(verdicts), ""])
 
 

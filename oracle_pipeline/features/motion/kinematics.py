@@ -109,18 +109,16 @@ def _floors(pair: Pair) -> tuple[float, float, float, float]:
 
 
 def _features() -> Iterator[fp.Feature]:
-    furthest, left = "value furthest from 0 over the topics", "the residual, after scale and lag,"
+    furthest, most = "value furthest from 0 over the topics", "maximum over the topics"
+    left = "the residual, after scale and lag,"
     for pair in PAIRS:
         scale, lag, residual, drift = _floors(pair)
-        what, rate = f"{pair.quantity} from {pair.second} relative to {pair.first}", _UNITS[pair[0]]
+        what = f"{pair.quantity} from {pair.second} relative to {pair.first}"
+        rate = _UNITS[pair.quantity]
         columns = {
             "scale": ("1", scale, f"ln of the scale of {what}; {furthest}"),
             "lag": ("s", lag, f"delay of {what}; {furthest}"),
-            "residual": (
-                rate,
-                residual,
-                f"root mean square of {left} of {what}; maximum over the topics",
-            ),
+            "residual": (rate, residual, f"root mean square of {left} of {what}; {most}"),
             "drift": (rate, drift, f"mean of {left} of {what}; {furthest}"),
             "bearing": ("rad", 5e-3, f"direction of {what}; {furthest}"),
         }
