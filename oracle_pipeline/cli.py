@@ -281,26 +281,12 @@ def _json(table: "Table", tables: "RecordingFeatures") -> str:
 @_strict
 @click.pass_context
 def score(
-    ctx: click.Context,
-    recordings: tuple[Path, ...],
-    reference: Path,
-    far: float,
-    file_format: str,
-    junit: Path | None,
-    badge: Path | None,
-    page: Path | None,
-    time_limit: float,
-    memory_limit: float,
-    contract: Path | None,
-    no_contract: bool,
-    suite: bool,
-    quiet: bool,
-    verbose: bool,
-    detector: str,
-    roles: Path | None,
-    plugins: Path | None,
-    strict: bool,
-) -> None:
+    ctx: click.Context, recordings: tuple[Path, ...], reference: Path, far: float,
+    file_format: str, junit: Path | None, badge: Path | None, page: Path | None,
+    time_limit: float, memory_limit: float, contract: Path | None, no_contract: bool,
+    suite: bool, quiet: bool, verbose: bool, detector: str,
+    roles: Path | None, plugins: Path | None, strict: bool,
+) -> None:  # fmt: skip
     """Judge recordings by comparison with normal ones.
 
     Exit code 0: all are normal; 1: at least one is anomalous or breaks the contract of the

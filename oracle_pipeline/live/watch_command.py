@@ -84,24 +84,12 @@ _PIECE_S = 120.0  # of each recording that a card is learned from
 @plugins_option
 @click.pass_context
 def watch(
-    ctx: click.Context,
-    reference: Path | None,
-    domain: int | None,
-    zenoh: str | None,
-    out: Path | None,
-    learn: Path | None,
-    split: "Split",
-    keep_free: int | None,
-    keep: "Keep | None",
-    keep_on: tuple[str, ...],
-    keep_service: str,
-    keep_at_most: int | None,
-    alarms_per_hour: float | None,
-    file_format: str,
-    duration: float | None,
-    view: int | None,
-    plugins: Path | None,
-) -> None:
+    ctx: click.Context, reference: Path | None, domain: int | None, zenoh: str | None,
+    out: Path | None, learn: Path | None, split: "Split", keep_free: int | None,
+    keep: "Keep | None", keep_on: tuple[str, ...], keep_service: str, keep_at_most: int | None,
+    alarms_per_hour: float | None, file_format: str, duration: float | None,
+    view: int | None, plugins: Path | None,
+) -> None:  # fmt: skip
     """Watch a running robot: record it, and judge it as it goes.
 
     It joins a DDS domain without ROS, takes the ROS graph every 10 s, and judges windows of 5 s as

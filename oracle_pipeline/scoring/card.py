@@ -11,7 +11,6 @@ named is not in the file: it is fitted again.
 import hashlib
 import io
 import json
-import textwrap
 import zipfile
 from collections import defaultdict
 from collections.abc import Mapping
@@ -26,7 +25,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from sklearn.pipeline import Pipeline
 
-from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.errors import OracleError, one_line
 from oracle_pipeline.bags.json_schema import faults
 from oracle_pipeline.clustering.scaling import FlooredRobustScaler
 from oracle_pipeline.datasets import check_runs, is_malicious, parse_table, replacing, table_bytes
@@ -209,11 +208,10 @@ def checked_card(path: Path) -> ReferenceCard:
     except (CardError, MemoryError):
         raise
     except Exception as error:  # whatever fails, the file is at fault
-        fault = f"{type(error).__name__} {error}" if isinstance(error, KeyError) else str(error)
+        lacks = "it lacks " if isinstance(error, KeyError) else ""
         raise CardError(
-            f"{path} is not a reference card, or is damaged: "
-            f"{textwrap.shorten(fault or type(error).__name__, 300)}. Create it again with "
-            "`oracle learn`."
+            f"{path} is not a reference card, or is damaged: {lacks}{one_line(error)}. Create it "
+            "again with `oracle learn`."
         ) from error
     return card
 

@@ -46,7 +46,7 @@ _UNSTEADY = "normal recordings differ in such terms, too"
 _OTHER_MACHINE = "another machine or a full queue changes a rate as much"
 
 Term: TypeAlias = Literal[
-    "topic", "type", "qos", "rate", "constant", "copies", "clock", "graph", "number"
+    "topic", "type", "qos", "rate", "constant", "copies", "clock", "graph", "number", "robots"
 ]
 NOTHING: Mapping[str, str] = MappingProxyType({})
 
@@ -120,6 +120,8 @@ class Observation:
         How long it is [s]; a rate proves nothing in a recording of a few messages.
     set_back : tuple of tuple
         When the recorder's clock was set back, and by how much [s].
+    robots : int or None
+        How many robots the recording has; None if unknown.
     """
 
     topics: Mapping[str, tuple[str, tuple[str, ...], float | None]]
@@ -135,6 +137,7 @@ class Observation:
     entropies: Mapping[str, float] = field(default_factory=dict)
     duration_s: float = math.inf
     set_back: tuple[tuple[float, float], ...] = ()
+    robots: int | None = None
 
 
 class Observer:
@@ -217,6 +220,8 @@ class Contract:
         Whether the recorder's clock was set back in no recording.
     unsteady : frozenset of str
         Kinds of terms that normal recordings break among themselves, so a breach of one is a note.
+    robots : int
+        Fewest robots of a recording.
     """
 
     topics: Mapping[str, TopicTerms]
@@ -228,6 +233,7 @@ class Contract:
     roles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     steady_clock: bool = False
     unsteady: frozenset[str] = frozenset()
+    robots: int = 1
 
     @property
     def known(self) -> Known:
@@ -253,6 +259,7 @@ class Contract:
             {name: sources for name in names if (sources := _sources(name, observations))},
             _roles(observations),
             not any(seen.set_back for seen in observations),
+            robots=min(seen.robots or 1 for seen in observations),
         )
 
     def breaches(
@@ -286,6 +293,9 @@ class Contract:
         for at_s, back_s in seen.set_back if self.steady_clock else ():
             when = f"The recorder's clock was set back by {back_s:.3g} s at {at_s:.2f} s"
             found.append(Breach("clock", f"{when}; in no normal recording it was.", "clock"))
+        if seen.robots is not None and seen.robots < self.robots:
+            has = f"The recording has {seen.robots} of the {self.robots} robots"
+            found.append(Breach("robots", f"{has} that every normal recording has.", "robots"))
         found += self._of_graph(seen.graph)
         for name, numbers in lacking.items():
             if name in seen.topics and seen.topics[name][0] in self.topics[name].types:
@@ -380,6 +390,7 @@ class Contract:
             "roles": self.roles,
             "steady_clock": self.steady_clock,
             "unsteady": sorted(self.unsteady),
+            "robots": self.robots,
         }
 
     @classmethod
@@ -399,7 +410,8 @@ class Contract:
             document["relays"],
             {role: tuple(topics) for role, topics in document["roles"].items()},
             document["steady_clock"],
-            frozenset(document.get("unsteady", ())),  # cards of 0.3.0 have none
+            frozenset(document.get("unsteady", ())),  # cards of 0.3.0 have neither
+            document.get("robots", 1),
         )
 
 

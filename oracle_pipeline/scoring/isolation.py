@@ -134,10 +134,9 @@ def extracted(
     """Compute the features of a recording in this process, for each of its robots."""
     with open_run(path, strict=reading.strict) as run:
         manager = build_manager(plugins)
-        return [
-            _of_robot(str(path), run, robot, manager, reading)
-            for robot in find_robots(run.bag, reading.choices, reading.known)
-        ]
+        robots = find_robots(run.bag, reading.choices, reading.known)
+        each = [_of_robot(str(path), run, robot, manager, reading) for robot in robots]
+    return [one._replace(observation=replace(one.observation, robots=len(robots))) for one in each]
 
 
 def _of_robot(

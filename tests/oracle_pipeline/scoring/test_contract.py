@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 from oracle_pipeline.features.engine.timeline import Timeline
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.contract import FEWEST_RECORDINGS, Contract, Observation, Observer
+from oracle_pipeline.scoring.isolation import extracted
 from oracle_pipeline.scoring.pace import Pace
 from oracle_pipeline.scoring.relays import Copies
+from tests.oracle_pipeline.features.conftest import drive, write_bag
 
 names = st.sampled_from(["/scan", "/odom", "/tf", "/cmd_vel", "/rosout"])
 profiles = st.sampled_from([(), ("reliable, volatile",), ("best effort, volatile",)])
@@ -57,6 +59,22 @@ def with_topic(name, *terms):
 def test_no_recording_breaches_the_contract_learned_from_it(normal):
     contract = Contract.learned(normal)
     assert all(contract.breaches(seen) == [] for seen in normal)
+
+
+def test_a_robot_that_is_gone_breaches_the_contract_of_its_fleet(tmp_path):
+    seen = {}
+    for count in (1, 2, 3):
+        fleet = [
+            (time_s, f"/r{robot}{name}", message)
+            for time_s, name, message in drive() for robot in range(count)
+        ]  # fmt: skip
+        write_bag(tmp_path / f"{count}", fleet)
+        seen[count] = extracted(tmp_path / f"{count}")[0].observation
+    contract = Contract.learned([seen[3], seen[2]])
+    assert contract == Contract.from_dict(json.loads(json.dumps(contract.to_dict())))
+    told = "The recording has 1 of the 2 robots that every normal recording has."
+    assert [b.text for b in contract.breaches(seen[1]) if b.term == "robots"] == [told]
+    assert not [b for b in contract.breaches(seen[2]) if b.term == "robots"]
 
 
 @pytest.mark.parametrize(
