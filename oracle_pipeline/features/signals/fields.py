@@ -3,13 +3,15 @@
 A number is treated as what it is. Stamps and texts are left out. A quaternion becomes roll, pitch,
 yaw and norm, a covariance its trace. Arrays are signals by label where the message has labels,
 and by index if they are short. Of others there are mean, spread, minimum, maximum and the share of
-finite numbers. Messages in a sequence count by their name, if they have one, and as means.
-Transforms are signals by their pair of frames. Their rotations are the axes of the child, because
-links of an arm pass the poles, where roll and yaw flip by half a turn.
+finite numbers. Messages in a sequence count by their name, if they have one, and as means. Of
+texts, the numbers that diagnostics begin with count, by their key. Transforms are signals by their
+pair of frames. Their rotations are the axes of the child, because links of an arm pass the poles,
+where roll and yaw flip by half a turn.
 """
 
 import itertools
 import math
+import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple, TypeAlias
@@ -32,6 +34,8 @@ _LAYOUT = "std_msgs/msg/MultiArrayLayout"
 _POINT_FIELD = "sensor_msgs/msg/PointField"
 _SKIPPED = {"builtin_interfaces/msg/Time", "std_msgs/msg/Header", _LAYOUT, _POINT_FIELD}
 _NAME = ("name", (Nodetype.BASE, ("string", 0)))  # of an element, such as a status of diagnostics
+_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
+_WRITTEN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*[^\W\d]{0,8}%?", re.IGNORECASE)
 _LABELS = ("name", "names", "joint_names")  # of arrays in the same message
 _MOST_LABELS = 16  # different ones in a topic; more are not those of a robot's parts
 
@@ -269,6 +273,20 @@ def _by_label(
                 [(f"{label}.{own}", unit, values[alike]) for own, unit, values in fields],
                 each.owners[alike],
             )
+        if element == _STATUS:
+            yield from itertools.islice(_of_pairs(each.values, labels, each.owners), most)
+
+
+def _of_pairs(pairs: Columns, labels: Any, rows: NDArray[np.int64]) -> Iterator[Numbers]:
+    """Yield the numbers that diagnostics write as texts, by the names of their parts and keys."""
+    found: dict[str, list[tuple[int, float]]] = {}
+    for part, key, text in zip(pairs.owners.tolist(), pairs.key, pairs.value, strict=True):
+        if number := _WRITTEN.fullmatch(str(text).strip()):
+            name = f"{labels[part]}.{key}".replace("/", "_")
+            found.setdefault(name, []).append((rows[part], float(number[1])))
+    for name in sorted(found):
+        at, values = zip(*found[name], strict=True)
+        yield Numbers((name,), ("",), np.array(at), np.array(values)[:, np.newaxis])
 
 
 def _of_transforms(each: Columns, store: Typestore, static: bool) -> Iterator[_Field]:

@@ -85,20 +85,25 @@ def _feature(name: str, statistic: str, unit: str) -> Feature:
 
 
 def _as_they_are(signals: Signals) -> tuple[Signals, Floats]:
-    """Return angles without jumps of a turn, and counters as their rates; and the turns."""
-    values, names, units = signals.values.copy(), list(signals.names), list(signals.units)
-    periods = np.zeros(len(names))
-    for j, (name, unit) in enumerate(zip(signals.names, signals.units, strict=True)):
-        column = values[:, j]
-        finite = np.isfinite(column)
-        largest = float(np.abs(column[finite]).max(initial=0.0))
-        if period := period_of(name, unit, largest):
-            values[finite, j] = np.unwrap(column[finite], period=period)
-            periods[j] = period
-        elif _is_counter(name, column[finite]):
-            names[j], units[j] = f"{name}.rate", "1/s"
-            values[:, j] = _rates(column, signals.times_ns)
-    return signals._replace(names=tuple(names), units=tuple(units), values=values), periods
+    """Return angles without jumps of a turn, and counters as their rates; and the turns.
+
+    What stands still has a level, too: it may be a number of things.
+    """
+    found: list[tuple[str, str, Floats, float]] = []
+    for name, unit, column in zip(signals.names, signals.units, signals.values.T, strict=True):
+        numbers = column[np.isfinite(column)]
+        period = period_of(name, unit, float(np.abs(numbers).max(initial=0.0)))
+        if period:
+            column = column.copy()
+            column[np.isfinite(column)] = np.unwrap(numbers, period=period)
+        elif _may_count(name, numbers):
+            found.append((f"{name}.rate", "1/s", _rates(column, signals.times_ns), 0.0))
+            if numbers[-1] > numbers[0]:
+                continue
+        found.append((name, unit, column, period))
+    names, units, columns, periods = zip(*found, strict=True)
+    values = np.column_stack(columns)
+    return Signals(signals.topic, names, units, signals.times_ns, values), np.array(periods)
 
 
 def _within_a_turn(found: Floats, periods: Floats) -> Floats:
@@ -109,11 +114,9 @@ def _within_a_turn(found: Floats, periods: Floats) -> Floats:
     return found
 
 
-def _is_counter(name: str, values: Floats) -> bool:
+def _may_count(name: str, values: Floats) -> bool:
     last = name.rpartition(".")[2].rpartition("_")[2].lower()
-    if len(values) < FEWEST or last not in _COUNTED:
-        return False
-    return bool((np.diff(values) >= 0.0).all() and values[-1] > values[0])
+    return len(values) >= FEWEST and last in _COUNTED and bool((np.diff(values) >= 0.0).all())
 
 
 def _rates(values: Floats, times_ns: NDArray[np.int64]) -> Floats:

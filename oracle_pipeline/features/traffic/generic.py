@@ -49,8 +49,8 @@ _TIMING_FEATURES = fp.timed(
     fp.Feature("byte_rate", "B/s", 100.0, "bytes of all topics per second", share=_USUAL_SHARE),
     fp.Feature("silent_topics", "1", 0.01, "share of the topics without messages"),
     fp.Feature("steady_topics", "1", 0.05,
-        "share of the topics that publish at a steady rate from start to end", per_window=False,
-        extensive=True),
+        f"share of the topics with {_FEWEST} messages that publish at a steady rate from start to "
+        "end", per_window=False, extensive=True),
     *_features(
         "jitter", "1", 0.05,
         "median absolute deviation of the time between messages over its median, steady topics",
@@ -109,6 +109,7 @@ def _compute_timing(window: fp.Window) -> fp.Values | fp.Missing:
         return fp.Missing("no topic is recorded")
     steady: dict[str, float] = window.prepared
     counts = [len(arrivals.times_s) for arrivals in topics.values()]
+    often = sum(count >= _FEWEST for count in counts)
     duration_s = window.end_s - window.start_s
     rhythms = {
         topic: rhythm for topic in steady if (rhythm := _rhythm(topics[topic].times_s)) is not None
@@ -119,7 +120,7 @@ def _compute_timing(window: fp.Window) -> fp.Values | fp.Missing:
         "message_rate": sum(counts) / duration_s,
         "byte_rate": sum(size for size, _ in totals.values()) / duration_s,
         "silent_topics": counts.count(0) / len(topics),
-        "steady_topics": len(steady) / len(topics),
+        "steady_topics": len(steady) / often if often else fp.Missing("all have few messages"),
         **_over_topics(
             "jitter", {t: rhythm.jitter for t, rhythm in rhythms.items()}, "no steady topic"
         ),

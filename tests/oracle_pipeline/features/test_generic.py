@@ -49,10 +49,11 @@ def test_columns_are_the_same_for_every_bag(make_run, foreign_bag, bag_of):
 def test_timing_of_a_bag(bag_of, messages):
     recorded = [(float(i), "/even", messages.goal_status(i)) for i in range(30)]
     del recorded[10]  # a gap of two periods
-    recorded += [(0.5, "/once", messages.goal_status(0))]
+    recorded += [(i * i / 29.0, "/uneven", messages.goal_status(i)) for i in range(30)]
+    recorded += [(0.5, "/once", messages.goal_status(0))]  # neither steady nor unsteady
     row = extract(bag_of(sorted(recorded, key=lambda each: each[0])))
-    assert row["generic.message_rate"] == pytest.approx(30 / 29)
-    assert row["generic.byte_rate"] == pytest.approx(30 * 8 / 29)
+    assert row["generic.message_rate"] == pytest.approx(60 / 29)
+    assert row["generic.byte_rate"] == pytest.approx(60 * 8 / 29)
     assert row["generic.steady_topics"] == 0.5
     assert row["generic.silent_topics"] == 0.0
     assert row["generic.jitter_max"] == 0.0

@@ -77,6 +77,12 @@ def test_counter_is_a_rate(tmp_path):
     assert "signals./log/count.mean" not in found
 
 
+def test_a_counter_that_stands_still_has_a_rate_of_zero_and_a_level(tmp_path):
+    found = signals_of(logged(tmp_path, count=np.full(COUNT, 7)))
+    assert found["signals./log/count.rate.max"] == 0.0
+    assert found["signals./log/count.mean"] == 7.0
+
+
 def test_stuck_and_missing_numbers_are_told(tmp_path):
     noise = np.random.default_rng(0).normal(size=COUNT)
     stuck, missing = noise.copy(), noise.copy()
@@ -188,6 +194,28 @@ def test_each_status_of_diagnostics_counts_by_its_name_whoever_reports_it(bag_of
     for name, level in (("base: motor_1", 2.0), ("base: cpu", 0.0), ("wifi", 1.0)):
         assert found[f"signals./diagnostics/status.{name}.level.mean"] == level
         assert found[f"signals./diagnostics/status.{name}.level.std"] == 0.0
+
+
+def test_numbers_that_diagnostics_write_as_texts_count_by_part_and_key(bag_of):
+    make = message_class("diagnostic_msgs/msg/DiagnosticArray")
+    status = message_class("diagnostic_msgs/msg/DiagnosticStatus")
+    pair = message_class("diagnostic_msgs/msg/KeyValue")
+    texts = {"Voltage (V)": "-24.5", "Load": "98 %", "core/0": " 4.5e1DegC", "Serial": "12-B",
+             "Version": "1.2.3", "Enabled": "True", "Address": "0x1F", "Empty": ""}  # fmt: skip
+    found = signals_of(bag_of([
+        (n * 0.5, "/diagnostics", make(header(n * 0.5, ""), [
+            status(0, "base", "", "", [pair(key, text) for key, text in texts.items()]),
+            status(0, "arm", "", "", [pair("Voltage (V)", f"{n}")] if n % 2 else []),
+        ])) for n in range(60)
+    ]))  # fmt: skip
+    means = {
+        name.removeprefix("signals./diagnostics/status.").removesuffix(".mean"): value
+        for name, value in found.items() if name.endswith(".mean")
+    }  # fmt: skip
+    keys = {key.replace("/", "_") for key in texts}
+    written = {"base.Voltage (V)": -24.5, "base.Load": 98.0, "base.core_0": 45.0}
+    written |= {"arm.Voltage (V)": 30.0}
+    assert written == {name: n for name, n in means.items() if name.partition(".")[2] in keys}
 
 
 def test_links_that_pass_the_pole_on_either_side_have_the_same_signals(bag_of):

@@ -63,6 +63,14 @@ def test_comparing_two_sets_tells_which_numbers_one_of_them_lacks(card, tmp_path
     assert "A lacks" not in done.stdout
 
 
+def test_a_counter_that_moves_is_still_the_number_that_stood_still():
+    still, moved = (
+        pd.DataFrame([[0.0] * 3] * 9, columns=[f"signals./seen/{c}.missing" for c in columns])
+        for columns in (("errors", "errors.rate", "x"), ("errors.rate", "x", "period"))
+    )
+    assert lacking_numbers(given_numbers(moved), given_numbers(still)) == {}
+
+
 def test_a_sequence_of_messages_may_be_empty():
     columns = ["objects.length", "objects.pose.x", "speed"]
     seen = pd.DataFrame([[0.0] * 3] * 9, columns=[f"signals./seen/{c}.missing" for c in columns])
