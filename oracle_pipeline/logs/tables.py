@@ -38,6 +38,7 @@ _UNIT = re.compile(
 _ROS2_ECHO = re.compile(r"\d+,\d{1,9},(?:[A-Za-z/][\w/]*)?,")  # seconds, nanoseconds and a frame
 _COUNTERS = re.compile(r"unnamed: 0|index|idx|row|seq|frame|sample|id", re.IGNORECASE)
 _ABOVE = re.compile(r"#|sep=|\s*$")  # begins lines above the names of columns
+_NUMBERED = re.compile(r"(?:run|rec|flight|drive|episode|trial|test|log|session)?[\W\d_]+", re.I)
 _SHARED = 0.5  # least share of columns that recordings have in common; topics have the time
 _COMMA = re.compile(r'(?:^|[;\t ])"?-?\d+,\d+(?:e[+-]?\d+)?"?(?=[;\t ]|$)', re.I | re.M)
 _NUMBERS = re.compile(r"[\[(]?\s*-?[\d.].*[\d.]\s*[\])]?")
@@ -51,7 +52,8 @@ def is_folder_of_topics(folder: Path) -> bool:
     """Return whether the tables in a folder are the topics of one recording.
 
     The layout file says so. Without it, they are if most have other columns than the others and
-    few are common to all, or if a folder beside this one has files of the same names.
+    few are common to all, or if a folder beside this one has files of the same names, which are
+    not the numbers of recordings.
     """
     tables = tables_in(folder)
     if not tables:
@@ -59,11 +61,12 @@ def is_folder_of_topics(folder: Path) -> bool:
     if recording := find_layout(folder).recording:
         return recording == "folder"
     names = {table.name for table in tables}
-    if len(names) > 1 and any(
+    is_numbered = all(_NUMBERED.fullmatch(table.stem) for table in tables)
+    if len(names) > 1 and not is_numbered and any(
         {table.name for table in tables_in(other)} == names
         for other in folder.parent.iterdir()
-        if other.is_dir() and other != folder
-    ):
+        if other.is_dir() and not other.samefile(folder)
+    ):  # fmt: skip
         return True
     headers = [frozenset(_header(table)) for table in tables]
     shared = len(frozenset.intersection(*headers)) / np.mean([len(header) for header in headers])

@@ -28,6 +28,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.terminal import count_of
 from oracle_pipeline.clustering.scaling import MAD_TO_DEVIATION
 from oracle_pipeline.scoring import run_scorer
 from oracle_pipeline.scoring.alarms import NormalWindows
@@ -65,8 +66,9 @@ class CrossConformalScorer:
     centre_, spread_ : ndarray of shape (n_levels,)
         They bring the levels to one scale: by scaled MAD or standard deviation of the held-out
         scores, whichever is larger, so that a level with a few far normal runs hides no other. The
-        largest level of normal runs then has median 0 and scaled MAD 1. The more features know the
-        robot, the less signals count: they show every difference, also that of a harmless obstacle.
+        largest level of normal runs then has median 0, and deviation 1 by its upper quartile; its
+        MAD may be next to 0, as many runs are within all ranges. The more features know the robot,
+        the less signals count: they show every difference, also that of a harmless obstacle.
     held_out_ : ndarray of shape (n_runs,)
         Score of each normal run by the scorer that was not fitted on it.
     windows_ : NormalWindows or None
@@ -119,9 +121,10 @@ class CrossConformalScorer:
         if self.design.uses_features:
             known = len(self.design.run_features) / WELL_KNOWN
             self.spread_[np.isin(self.levels_, run_scorer.OF_SIGNALS)] *= 1.0 + known
-        centre, mad = _median_and_mad(self._combined(by_level))
+        centre, quartile = np.quantile(self._combined(by_level), (0.5, 0.75))
+        above = MAD_TO_DEVIATION * (quartile - centre)
         self.centre_ = self.centre_ + centre * self.spread_
-        self.spread_ = self.spread_ * np.where(mad > _ROUNDING, mad, 1.0)
+        self.spread_ = self.spread_ * (above if above > _ROUNDING else 1.0)
         self.held_out_ = self._combined(by_level)
         self.windows_ = None
         if self.design.window_features:
@@ -269,8 +272,9 @@ def assign_folds(unit: NDArray[np.int64], folds: int, rng: np.random.Generator) 
     names, number = np.unique(unit, return_inverse=True)
     if len(names) < MIN_BLOCKS:
         raise ConformalError(
-            f"The normal recordings come from {len(names)} blocks or sessions; learning needs "
-            f"at least {MIN_BLOCKS}. Record normal runs with other starts, goals or days."
+            f"The normal recordings come from {count_of(len(names), 'block')} or sessions; "
+            f"learning needs at least {MIN_BLOCKS}. Record normal runs with other starts, goals or "
+            "days."
         )
     fold = rng.permutation(len(names)) % min(folds, len(names))
     return np.asarray(fold[number], dtype=np.intp)

@@ -25,6 +25,7 @@ from oracle_pipeline.scoring.comparable import (
     same_kind,
     shared_features,
 )
+from oracle_pipeline.scoring.conformal import ConformalError
 from oracle_pipeline.scoring.contract import Contract, Observation
 from oracle_pipeline.scoring.cross_conformal import SEED, CrossConformalScorer
 from oracle_pipeline.scoring.feature_sets import ASPECTS, feature_sets
@@ -63,7 +64,10 @@ def learn(reference: Reference, detector: str = "") -> ReferenceCard:
         There are too few normal runs, or they have no feature.
     """
     reference = counted(reference)
-    card = _learned(reference, detector)
+    try:
+        card = _learned(reference, detector)
+    except ConformalError as error:
+        raise ConformalError(" ".join([str(error), *reference.notes])) from error
     held_out = pd.Series(card.scorer.held_out_, index=card.runs["run_id"])
     scores = held_out.loc[reference.table["run_id"]].to_numpy(dtype=np.float64)
     remaining = without_odd(reference, np.array(scores))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.parts import NO_CHECKSUM, is_recording
-from oracle_pipeline.bags.terminal import join_first, printable
+from oracle_pipeline.bags.terminal import count_of, join_first, printable
 from oracle_pipeline.datasets import KEYS, feature_dataset, read_table, window_dataset
 from oracle_pipeline.features import FeatureManager, FeatureTables
 from oracle_pipeline.logs.formats import recordings_below
@@ -159,7 +159,7 @@ def _together(said: Mapping[str, Sequence[Path]]) -> Iterator[str]:
 def _about(origins: Sequence[Origin]) -> Iterator[str]:
     """Yield notes on recordings without a label, and on those that are one block."""
     if unlabelled := sum(not origin.has_manifest for origin in origins):
-        yield f"{unlabelled} reference recordings have no label; they are taken as normal."
+        yield f"{count_of(unlabelled, 'reference recording')} without a label: taken as normal."
     if (count := len(set(blocks(origins)))) < len(origins):
         yield (
             f"{len(origins)} reference recordings count as {count} blocks: the others share the "

@@ -22,23 +22,15 @@ def draw_session(seed: int, index: int) -> Session:
     rng = generator(seed, SESSION, index)
     return Session(
         index=index,
-        lidar_bias_m=rng.uniform(-0.01, 0.01),
-        lidar_noise_m=rng.uniform(0.008, 0.015),
-        friction=rng.uniform(0.8, 1.2),
-        mass=rng.uniform(0.9, 1.1),
-        latency_ms=rng.uniform(1.0, 8.0),
-        lidar_tom_bias_m=rng.uniform(-0.01, 0.01),
-        lidar_dropouts=rng.uniform(0.0, 0.01),
-        latency_jitter_ms=rng.uniform(0.0, 2.0),
-        processor_load=rng.uniform(0.0, 0.3),
-        wheel_left=rng.uniform(0.995, 1.005),
-        wheel_right=rng.uniform(0.995, 1.005),
-        gyro_bias_rad_s=rng.uniform(-0.005, 0.005),
-        gyro_scale=rng.uniform(0.994, 1.006),
-        map_errors=rng.uniform(0.0, 0.03),
-        start_sd_m=rng.uniform(0.0, 0.03),
-        start_sd_rad=rng.uniform(0.0, 0.05),
-    )
+        lidar_bias_m=rng.uniform(-0.01, 0.01), lidar_noise_m=rng.uniform(0.008, 0.015),
+        friction=rng.uniform(0.8, 1.2), mass=rng.uniform(0.9, 1.1),
+        latency_ms=rng.uniform(1.0, 8.0), lidar_tom_bias_m=rng.uniform(-0.01, 0.01),
+        lidar_dropouts=rng.uniform(0.0, 0.01), latency_jitter_ms=rng.uniform(0.0, 2.0),
+        processor_load=rng.uniform(0.0, 0.3), wheel_left=rng.uniform(0.995, 1.005),
+        wheel_right=rng.uniform(0.995, 1.005), gyro_bias_rad_s=rng.uniform(-0.005, 0.005),
+        gyro_scale=rng.uniform(0.994, 1.006), map_errors=rng.uniform(0.0, 0.03),
+        start_sd_m=rng.uniform(0.0, 0.03), start_sd_rad=rng.uniform(0.0, 0.05),
+    )  # fmt: skip
 
 
 def sensor_errors(session: Session) -> SensorErrors:

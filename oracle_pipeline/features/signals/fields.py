@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
+from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.features.engine.columns import Columns
 from oracle_pipeline.features.engine.common_fields import frame_names
 from oracle_pipeline.features.signals.units import UNITS
@@ -37,6 +38,7 @@ _NAME = ("name", (Nodetype.BASE, ("string", 0)))  # of an element, such as a sta
 _STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 _WRITTEN = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*[^\W\d]{0,8}%?", re.IGNORECASE)
 _LABELS = ("name", "names", "joint_names")  # of arrays in the same message
+_LONGEST_LABEL = 120
 _MOST_LABELS = 16  # different ones in a topic; more are not those of a robot's parts
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -214,8 +216,13 @@ def _labels(messages: Columns, store: Typestore, msgtype: str) -> Sequence[str]:
         texts = labels[0].replace(",", " ").split() if len(labels) == 1 else labels
     elif len(different := set(_labels_of_each(messages, store, msgtype))) == 1:
         texts = different.pop()
-    texts = [str(text).replace("/", "_") for text in texts]
+    texts = [_in_name(text) for text in texts]
     return texts if len(set(texts)) == len(texts) and all(texts) else []
+
+
+def _in_name(text: object) -> str:
+    """Return a text as a part of a column's name, which people read in tables."""
+    return printable(" ".join(str(text)[:_LONGEST_LABEL].split())).replace("/", "_")
 
 
 def _labels_of_each(messages: Columns, store: Typestore, msgtype: str) -> Iterator[tuple[str, ...]]:
@@ -266,7 +273,7 @@ def _by_label(
             fields = list(_fields(each, store, element))
         else:
             continue
-        labels = np.array([text.replace("/", "_") for text in texts])
+        labels = np.array([_in_name(text) for text in texts])
         for label in np.unique(labels)[: most // len(fields) if fields else 0].tolist():
             alike = np.flatnonzero(labels == label)
             yield _together(
@@ -282,7 +289,7 @@ def _of_pairs(pairs: Columns, labels: Any, rows: NDArray[np.int64]) -> Iterator[
     found: dict[str, list[tuple[int, float]]] = {}
     for part, key, text in zip(pairs.owners.tolist(), pairs.key, pairs.value, strict=True):
         if number := _WRITTEN.fullmatch(str(text).strip()):
-            name = f"{labels[part]}.{key}".replace("/", "_")
+            name = f"{labels[part]}.{_in_name(key)}"
             found.setdefault(name, []).append((rows[part], float(number[1])))
     for name in sorted(found):
         at, values = zip(*found[name], strict=True)

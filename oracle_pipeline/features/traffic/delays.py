@@ -49,6 +49,7 @@ FEATURES = fp.timed(
 
 _KINDS = {msgtype: name for name, msgtype in SENSORS.items()}
 _FEWEST = 5  # messages of a compared topic
+_MOST_JITTER = 10.0  # two publishers may leave a nanosecond between their stamps
 _LATE_S = 0.025  # more than a recorder or a loaded machine holds messages
 _ANOTHER_CLOCK_S = 3600.0  # least difference of stamps that are of another clock, or not set
 
@@ -146,4 +147,4 @@ def _period(arrivals: fp.TopicArrivals) -> tuple[float, float]:
     period_s, deviation_s = median_and_deviation((stamps_ns[1:] - stamps_ns[:-1]) / 1e9)
     if period_s <= 0.0:
         return math.inf, math.nan
-    return period_s, deviation_s / period_s
+    return period_s, min(deviation_s / period_s, _MOST_JITTER)

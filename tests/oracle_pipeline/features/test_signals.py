@@ -201,7 +201,8 @@ def test_numbers_that_diagnostics_write_as_texts_count_by_part_and_key(bag_of):
     status = message_class("diagnostic_msgs/msg/DiagnosticStatus")
     pair = message_class("diagnostic_msgs/msg/KeyValue")
     texts = {"Voltage (V)": "-24.5", "Load": "98 %", "core/0": " 4.5e1DegC", "Serial": "12-B",
-             "Version": "1.2.3", "Enabled": "True", "Address": "0x1F", "Empty": ""}  # fmt: skip
+             "Version": "1.2.3", "Enabled": "True", "Address": "0x1F", "Empty": "",
+             "\x1b[31mred\n": "9" * 5000}  # fmt: skip
     found = signals_of(bag_of([
         (n * 0.5, "/diagnostics", make(header(n * 0.5, ""), [
             status(0, "base", "", "", [pair(key, text) for key, text in texts.items()]),
@@ -216,6 +217,7 @@ def test_numbers_that_diagnostics_write_as_texts_count_by_part_and_key(bag_of):
     written = {"base.Voltage (V)": -24.5, "base.Load": 98.0, "base.core_0": 45.0}
     written |= {"arm.Voltage (V)": 30.0}
     assert written == {name: n for name, n in means.items() if name.partition(".")[2] in keys}
+    assert all(name.isprintable() for name in found)
 
 
 def test_links_that_pass_the_pole_on_either_side_have_the_same_signals(bag_of):

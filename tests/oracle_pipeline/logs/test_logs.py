@@ -416,6 +416,10 @@ def test_folder_is_topics_of_one_recording_or_recordings_of_one_topic(tmp_path):
         for motor in (1, 2):
             samples.csv(arms / run).rename(arms / run / f"motor_{motor}.csv")
     assert list(recordings_below(arms)) == [arms / "monday", arms / "tuesday"]
+    for day in ("monday", "tuesday"):
+        for motor in (1, 2):
+            (arms / day / f"motor_{motor}.csv").rename(arms / day / f"run_{motor}.csv")
+    assert len(list(recordings_below(arms))) == 4
 
 
 def test_table_of_features_is_no_log(tmp_path):

@@ -6,6 +6,8 @@ from hashlib import sha256
 from html import unescape
 from importlib.metadata import version
 
+import numpy as np
+import pandas as pd
 import pytest
 import yaml
 from click.testing import CliRunner
@@ -14,6 +16,7 @@ from oracle_pipeline.cli import main
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.contract_file import ContractError, contract_as_yaml, read_contract
 from oracle_pipeline.scoring.likeness import LEAST
+from oracle_pipeline.scoring.selection import LEAST_SCORE
 from tests.oracle_pipeline.features.conftest import drive, write_bag
 from tests.oracle_pipeline.robots.recordings import IMU, JOINTS, bag_with
 from tests.oracle_pipeline.scoring.test_contract import CONTRACT
@@ -62,6 +65,16 @@ def test_learning_names_the_recording_that_is_unlike_the_others(place, learned, 
     ).stdout
     (farthest,) = re.findall(r"Unlike the others: \d recordings?\..*\n    (\S+): score", output)
     assert farthest == str(place / "spinning")
+
+
+def test_recordings_of_one_sensor_that_differ_by_noise_are_not_unlike_each_other(tmp_path):
+    rng, time_s = np.random.default_rng(0), np.arange(150) * 0.1
+    for number in range(40):
+        log = pd.DataFrame({"time": time_s, "temperature": rng.normal(20.0, 0.1, 150)})
+        log.to_csv(tmp_path / f"{number:02d}.csv", index=False)
+    output = oracle_learn(tmp_path, "--output", tmp_path / "sensor.card").stdout
+    assert max(map(float, re.findall(r": score ([\d.]+)", output)), default=0.0) < LEAST_SCORE
+    assert "set aside" not in output
 
 
 @pytest.mark.parametrize("chosen", [(), ("--detector", "pca")], ids=["ours", "pca"])
@@ -204,7 +217,8 @@ def test_recordings_can_be_named_one_by_one(place, learned):
 
 def test_too_few_recordings_are_refused_with_the_number_needed(place):
     done = oracle_learn(place / "good" / "a", "--output", place / "one.card", expect=2)
-    assert "learning needs at least 3" in done.stderr
+    assert "come from 1 block or sessions; learning needs at least 3" in done.stderr
+    assert "1 reference recording without a label: taken as normal." in done.stderr
     assert not (place / "one.card").exists()
 
 

@@ -387,7 +387,7 @@ def test_a_folder_of_bags_is_a_reference_whose_recordings_count_as_normal(bags, 
     (tmp_path / "good" / "notes.txt").write_text("recorded on a Tuesday")
     options = ("--reference", tmp_path / "good", "--far", 0.2)
     done = oracle_score(bags["spinning"], *options, expect=1)
-    assert "4 reference recordings have no label; they are taken as normal." in done.stdout
+    assert "4 reference recordings without a label: taken as normal." in done.stdout
     assert "broken is left out of the reference" in done.stdout
     assert "with 4 normal runs of 4 blocks." in done.stdout
 
