@@ -272,9 +272,8 @@ def assign_folds(unit: NDArray[np.int64], folds: int, rng: np.random.Generator) 
     names, number = np.unique(unit, return_inverse=True)
     if len(names) < MIN_BLOCKS:
         raise ConformalError(
-            f"The normal recordings come from {count_of(len(names), 'block')} or sessions; "
-            f"learning needs at least {MIN_BLOCKS}. Record normal runs with other starts, goals or "
-            "days."
+            f"The normal recordings count as {count_of(len(names), 'block')}; learning needs at "
+            f"least {MIN_BLOCKS}. Record normal runs with other starts, goals or days."
         )
     fold = rng.permutation(len(names)) % min(folds, len(names))
     return np.asarray(fold[number], dtype=np.intp)

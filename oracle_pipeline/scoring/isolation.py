@@ -150,10 +150,10 @@ def _of_robot(
 
 
 def interfaces(observer: Observer, run: OpenedRun, robot: Robot, clock: Timeline) -> Observation:
-    """Return what was observed of a robot's messages, with the roles of its topics."""
+    """Return what was observed of the only robot of a recording, with the roles of its topics."""
     roles = {role: found.topics for role, found in robot.roles.found.items() if found.topics}
     seen = observer.observation(run, clock)
-    return replace(seen, roles=roles, instead=robot.instead)
+    return replace(seen, roles=roles, instead=robot.instead, robots=1)
 
 
 def _tables(

@@ -4,9 +4,9 @@ A number is treated as what it is. Stamps and texts are left out. A quaternion b
 yaw and norm, a covariance its trace. Arrays are signals by label where the message has labels,
 and by index if they are short. Of others there are mean, spread, minimum, maximum and the share of
 finite numbers. Messages in a sequence count by their name, if they have one, and as means. Of
-texts, the numbers that diagnostics begin with count, by their key. Transforms are signals by their
-pair of frames. Their rotations are the axes of the child, because links of an arm pass the poles,
-where roll and yaw flip by half a turn.
+texts, the values of diagnostics count, if they begin with a number, by part and key. Transforms are
+signals by their pair of frames. Their rotations are the axes of the child, because links of an arm
+pass the poles, where roll and yaw flip by half a turn.
 """
 
 import itertools

@@ -132,5 +132,5 @@ def test_a_window_has_the_same_score_alone_and_among_others(normal, scorer):
 
 
 def test_too_few_blocks_are_an_error_with_the_number(normal):
-    with pytest.raises(ConformalError, match="come from 2 blocks"):
+    with pytest.raises(ConformalError, match="count as 2 blocks"):
         learned(normal.where(normal.block < 2))

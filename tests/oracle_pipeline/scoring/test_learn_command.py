@@ -217,7 +217,7 @@ def test_recordings_can_be_named_one_by_one(place, learned):
 
 def test_too_few_recordings_are_refused_with_the_number_needed(place):
     done = oracle_learn(place / "good" / "a", "--output", place / "one.card", expect=2)
-    assert "come from 1 block or sessions; learning needs at least 3" in done.stderr
+    assert "count as 1 block; learning needs at least 3" in done.stderr
     assert "1 reference recording without a label: taken as normal." in done.stderr
     assert not (place / "one.card").exists()
 
