@@ -9,6 +9,7 @@ signals by their pair of frames. Their rotations are the axes of the child, beca
 pass the poles, where roll and yaw flip by half a turn.
 """
 
+import functools
 import itertools
 import math
 import re
@@ -220,6 +221,7 @@ def _labels(messages: Columns, store: Typestore, msgtype: str) -> Sequence[str]:
     return texts if len(set(texts)) == len(texts) and all(texts) else []
 
 
+@functools.lru_cache(1024)  # messages repeat their few labels
 def _in_name(text: object) -> str:
     """Return a text as a part of a column's name, which people read in tables."""
     return printable(" ".join(str(text)[:_LONGEST_LABEL].split())).replace("/", "_")
@@ -286,11 +288,10 @@ def _by_label(
 
 def _of_pairs(pairs: Columns, labels: Any, rows: NDArray[np.int64]) -> Iterator[Numbers]:
     """Yield the numbers that diagnostics write as texts, by the names of their parts and keys."""
-    found: dict[str, list[tuple[int, float]]] = {}
+    found: dict[str, list[tuple[int, float]]] = defaultdict(list)
     for part, key, text in zip(pairs.owners.tolist(), pairs.key, pairs.value, strict=True):
         if number := _WRITTEN.fullmatch(str(text).strip()):
-            name = f"{labels[part]}.{_in_name(key)}"
-            found.setdefault(name, []).append((rows[part], float(number[1])))
+            found[f"{labels[part]}.{_in_name(key)}"].append((rows[part], float(number[1])))
     for name in sorted(found):
         at, values = zip(*found[name], strict=True)
         yield Numbers((name,), ("",), np.array(at), np.array(values)[:, np.newaxis])
