@@ -15,7 +15,8 @@ from sklearn.covariance import ledoit_wolf_shrinkage
 from oracle_pipeline.clustering.scaling import CLIP, ROUNDING_FLOOR, FlooredRobustScaler
 from oracle_pipeline.detectors.base import OwnDetector
 
-MOST_COMPONENTS = 12  # directions of a group whose variances are kept
+Floats = NDArray[np.float64]
+LEAST_DIRECTIONS = 12  # of a group whose variances are kept
 LEAST_SHARE = 0.5  # of the standard deviation: smallest scale
 OF_CONSTANT = 5.0  # scales that a change of a constant counts for
 OF_OWN = {  # least scales of statistics, in the usual one of a signal
@@ -63,14 +64,14 @@ class SignalScaler(FlooredRobustScaler):
         )
         return self
 
-    def transform(self, X: pd.DataFrame) -> NDArray[np.float64]:
+    def transform(self, X: pd.DataFrame) -> Floats:
         """Return the scaled statistics, shape (n_runs, len(kept_)), 0 where they are missing."""
         scaled = super().transform(X)
         limit = np.where(self.is_constant_, OF_CONSTANT, CLIP)
         return np.asarray(np.clip(scaled, -limit, limit), dtype=np.float64)
 
 
-def _least_scales(columns: Sequence[str], centre: NDArray[np.float64]) -> NDArray[np.float64]:
+def _least_scales(columns: Sequence[str], centre: Floats) -> Floats:
     """Return the least scale of each column, in its unit."""
     usual = dict(zip(columns, centre.tolist(), strict=True))
     least = np.zeros(len(columns))
@@ -89,12 +90,14 @@ class LargestGroup(OwnDetector):
     """The largest distance over groups of columns, each in units of a typical normal one.
 
     The distance is Mahalanobis's in a covariance that is shrunk after Ledoit and Wolf, of which the
-    largest `MOST_COMPONENTS` directions are kept; it needs no more rows than columns.
+    largest directions are kept; it needs no more rows than columns.
 
     Parameters
     ----------
     groups : sequence of str, optional
         Group of each column; by default all are one group.
+    directions : int
+        Directions of a group that are kept, at least `LEAST_DIRECTIONS`.
 
     Attributes
     ----------
@@ -105,26 +108,23 @@ class LargestGroup(OwnDetector):
         Variance in all other directions, and median distance of the fitted rows.
     """
 
-    def __init__(self, groups: Sequence[str] | None = None) -> None:
+    def __init__(self, groups: Sequence[str] | None = None, directions: int = 0) -> None:
         self.groups = groups
+        self.directions = directions
 
-    def _learn(self, X: NDArray[np.float64]) -> None:
+    def _learn(self, X: Floats) -> None:
         self.location_ = X.mean(axis=0)
-        found = [
-            _shrunk(X[:, columns] - self.location_[columns])
-            for columns in self._columns(X.shape[1])
-        ]
-        self.components_ = [components for components, _, _ in found]
-        self.variances_ = [variances for _, variances, _ in found]
-        self.noise_ = np.array([noise for _, _, noise in found])
+        centred, groups = X - self.location_, self._columns(X.shape[1])
+        found = [_shrunk(centred[:, columns], self.directions) for columns in groups]
+        self.components_, self.variances_, noise = map(list, zip(*found, strict=True))
+        self.noise_ = np.array(noise)
         self.typical_ = np.ones(len(found))
-        typical = np.median(self._by_group(X), axis=0)
-        self.typical_ = np.maximum(typical, _LEAST_TYPICAL)
+        self.typical_ = np.maximum(np.median(self._by_group(X), axis=0), _LEAST_TYPICAL)
 
-    def _distance(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _distance(self, X: Floats) -> Floats:
         return np.asarray(self._by_group(X).max(axis=1), dtype=np.float64)
 
-    def _by_group(self, X: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _by_group(self, X: Floats) -> Floats:
         """Return the distance of each row in each group, shape (n_rows, n_groups)."""
         squared = []
         for columns, components, variances, noise in zip(
@@ -147,13 +147,13 @@ class LargestGroup(OwnDetector):
         return [np.flatnonzero(groups == name) for name in np.unique(groups)]
 
 
-def _shrunk(centred: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def _shrunk(centred: Floats, most: int) -> tuple[Floats, Floats, float]:
     """Return directions, the variances in them, and the variance in all others."""
     count, columns = centred.shape
     weight = float(ledoit_wolf_shrinkage(centred, assume_centered=True))
     _, singular, directions = np.linalg.svd(centred, full_matrices=False)
     variances = singular**2 / count
-    kept = min(MOST_COMPONENTS, count - 1, columns)
+    kept = min(max(most, LEAST_DIRECTIONS), count - 1, columns)
     base = weight * float(variances.sum()) / columns
     others = columns - kept
     beside = (1.0 - weight) * float(variances[kept:].sum()) / others if others else 0.0

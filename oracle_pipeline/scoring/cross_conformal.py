@@ -40,6 +40,7 @@ FOLDS = 10
 SEED = 0  # of the folds, and of detectors that draw
 MIN_BLOCKS = 3  # two to fit on, one to hold out
 WELL_KNOWN = 200  # features beside which signals count half
+FOR_DIRECTION = 4  # sessions or blocks for each direction that `LargestGroup` keeps
 _ROUNDING = 1e-9  # spread of scores up to which they count as equal [scales]
 
 
@@ -98,14 +99,16 @@ class CrossConformalScorer:
         """
         seen = runs.with_columns(self.design.run_columns, self.design.window_columns)
         self.block_ = runs.block
-        self.fold_ = assign_folds(_split_unit(runs), self.folds, rng)
+        unit = _split_unit(runs)
+        self.fold_ = assign_folds(unit, self.folds, rng)
+        directions = len(np.unique(unit)) // FOR_DIRECTION
         self.scorers_ = []
         by_level: NDArray[np.float64] | None = None
         of_windows = np.empty(len(runs.run))
         for fold in range(self.fold_.max() + 1):
             out = self.fold_ == fold
             held_out = seen.where(out)
-            scorer = run_scorer.RunScorer(self.design).fit(seen.where(~out))
+            scorer = run_scorer.RunScorer(self.design, directions).fit(seen.where(~out))
             scores = scorer.score(held_out)
             if by_level is None:
                 by_level = np.empty((len(out), scores.shape[1]))
@@ -115,7 +118,8 @@ class CrossConformalScorer:
             self.scorers_.append(scorer)
         assert by_level is not None  # noqa: S101 -- there are at least three folds
         self.levels_ = self.scorers_[0].levels
-        self.centre_, mad = _median_and_mad(by_level)
+        self.centre_ = np.median(by_level, axis=0)
+        mad = MAD_TO_DEVIATION * np.median(np.abs(by_level - self.centre_), axis=0)
         self.spread_ = np.maximum(mad, by_level.std(axis=0))
         self.spread_[self.spread_ < _ROUNDING] = 1.0
         if self.design.uses_features:
@@ -251,12 +255,6 @@ class CrossConformalScorer:
         """Return the largest standardised level of each run, shape (n_runs,)."""
         standard = (by_level - self.centre_) / self.spread_
         return np.asarray((weight * standard).max(axis=1), dtype=np.float64)
-
-
-def _median_and_mad(scores: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """Return median and scaled MAD of each column."""
-    centre = np.median(scores, axis=0)
-    return centre, MAD_TO_DEVIATION * np.median(np.abs(scores - centre), axis=0)
 
 
 def _split_unit(runs: MeasuredRuns) -> NDArray[np.int64]:

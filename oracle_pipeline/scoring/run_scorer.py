@@ -108,6 +108,8 @@ class RunScorer:
     Parameters
     ----------
     design : Design
+    directions : int
+        Those of `LargestGroup`.
 
     Attributes
     ----------
@@ -121,8 +123,9 @@ class RunScorer:
         by the mean over its parts of that length.
     """
 
-    def __init__(self, design: Design) -> None:
+    def __init__(self, design: Design, directions: int = 0) -> None:
         self.design = design
+        self.directions = directions
 
     def fit(self, runs: MeasuredRuns) -> Self:
         """Learn what normal runs look like.
@@ -209,8 +212,8 @@ class RunScorer:
         if level in OF_FEATURES:
             return pipeline(clone(self.design.detector), self.design.floors).fit(table)
         scaler = SignalScaler(self.design.floors).fit(table)
-        topics = [topic_of_signal(column) for column in scaler.kept_]
-        detector: Detector = LargestGroup(topics if level in _BY_TOPIC else None)
+        groups = [topic_of_signal(c) for c in scaler.kept_] if level in _BY_TOPIC else None
+        detector: Detector = LargestGroup(groups, self.directions)
         if level in BEYOND:
             detector = BeyondRange(BEYOND[level])
         elif level == PLAIN:

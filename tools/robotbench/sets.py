@@ -157,6 +157,18 @@ def alfa(source: Path, work: Path) -> Iterator[Case]:
             yield Case(path, file.stem[:27], failed)
 
 
+def underwater(fault: str) -> Callable[[Path, Path], Iterator[Case]]:
+    """Return the loader of 10 s of diving of an underwater vehicle, whole or with one fault."""
+
+    def load(source: Path, _: Path) -> Iterator[Case]:
+        for kind in ("Normal", fault):
+            for file in sorted(source.glob(f"*/{kind}/*.csv")):
+                if kind == "Normal" or file.parts[-3] == "test":
+                    yield Case(file, "/".join(file.parts[-3:]), kind == fault)
+
+    return load
+
+
 def _time_parts(file: Path) -> Iterator[pd.DataFrame]:
     """Cut a table into parts of equal length, from its end."""
     table = pd.read_csv(file)
@@ -236,5 +248,9 @@ SETS: Mapping[str, tuple[str, str, Callable[[Path, Path], Iterator[Case]]]] = {
     "jackal_unsafe": ("jackal", "wheeled", jackal("E3", "N6")),
     "quadcopter_hover": ("quadcopter", "quadrotor", quadcopter("Hover")),
     "alfa": ("alfa", "aeroplane", alfa),
+    "auv_weight": ("auv", "underwater", underwater("AddWeight")),
+    "auv_depth": ("auv", "underwater", underwater("PressureGain_constant")),
+    "auv_propeller": ("auv", "underwater", underwater("PropellerDamage_bad")),
+    "auv_cut": ("auv", "underwater", underwater("PropellerDamage_slight")),
     "quadcopter_line": ("quadcopter", "quadrotor", quadcopter("Straight line")),
 }

@@ -22,6 +22,17 @@ def test_change_in_one_of_a_hundred_topics_stands_out():
     assert changed > 2.0 * unchanged
 
 
+@pytest.mark.parametrize(("directions", "stands_out"), [(12, False), (50, True)])
+def test_more_recordings_show_more_of_what_belongs_together(directions, stands_out):
+    rng = np.random.default_rng(0)
+    one, noise = rng.normal(size=(201, 25)), 0.05 * rng.normal(size=(201, 25))
+    both = np.hstack([one, one + noise])
+    both[200, 30] += 2.0  # as often seen as not, but never beside what column 5 has
+    detector = LargestGroup(directions=directions).fit(both[:200])
+    distances = -detector.score_samples(both)
+    assert (distances[200] > distances[:200].max()) is np.bool_(stands_out)
+
+
 def test_scale_is_not_that_of_the_unchanging_majority():
     column = np.array([0.0] * 15 + [1.0] * 5)
     scaler = SignalScaler({}).fit(pd.DataFrame({"a": column}))
