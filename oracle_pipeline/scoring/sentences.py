@@ -12,7 +12,7 @@ import yaml
 from oracle_pipeline.datasets import SIGNALS, topic_of_signal
 from oracle_pipeline.scoring.verdict import Evidence, Verdict
 
-_ROUNDING = 1e-12  # below all that features resolve
+_ROUNDING, _LONG = 1e-12, 1e7  # below all that features resolve; shown with an exponent from here
 FAR_OUT = 10.0  # distance of a feature that is reported with a normal verdict too [scales]
 _CLEAR = 0.5  # evidence with a phrase is preferred down to this share of the largest distance
 _AGAINST = " against "  # between two places
@@ -76,10 +76,11 @@ def rounded(value: float, digits: int = 4) -> str:
 
     Examples
     --------
-    >>> [rounded(value) for value in (0.0123456, 8.3e-18, -1e-16)]
-    ['0.01235', '0', '0']
+    >>> [rounded(value) for value in (0.0123456, 101325.0, 8.3e-18, -1e-16)]
+    ['0.01235', '101300', '0', '0']
     """
-    return f"{value:.{digits}g}" if abs(value) > _ROUNDING else "0"
+    text = f"{value:.{digits}g}" if abs(value) > _ROUNDING else "0"
+    return f"{float(text):.0f}" if "e" in text and 1.0 < abs(value) < _LONG else text
 
 
 def told_apart(*values: float) -> list[str]:
@@ -117,8 +118,7 @@ def _text(evidence: Evidence, value: str, usual: str) -> str:
     text = phrase.format(value=value, usual=usual, where=where)
     if _QUANTIFIED in phrase:
         return text
-    name = feature.partition(".")[2].replace("_", " ")
-    return f"{text}: {name} {value}, in normal runs {usual}"
+    return f"{text}: {feature.partition('.')[2].replace('_', ' ')} {value}, in normal runs {usual}"
 
 
 def clearest(evidence: Sequence[Evidence]) -> Evidence:
