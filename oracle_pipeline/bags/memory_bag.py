@@ -51,17 +51,18 @@ class MemoryBag(BagReader):
 
     def batches(self, topics: Collection[str] | None = None) -> Iterator[Messages]:
         """Yield all messages of some topics at once."""
-        numbers = {name: number for number, name in enumerate(self.topics)}
-        wanted = [
-            (numbers[shown], message)
-            for message in self._messages
-            if (shown := self._shown.get(message.topic)) and (topics is None or shown in topics)
-        ]
-        sizes = np.array([len(message.data) for _, message in wanted], dtype=np.int64)
+        place = {name: number for number, name in enumerate(self.topics)}
+        numbers = {
+            name: place[shown]
+            for name, shown in self._shown.items()
+            if topics is None or shown in topics
+        }
+        wanted = [message for message in self._messages if message.topic in numbers]
+        sizes = np.array([len(message.data) for message in wanted], dtype=np.int64)
         yield Messages(
-            b"".join(message.data for _, message in wanted),
-            np.array([number for number, _ in wanted], dtype=np.int64),
-            np.array([message.stamp_ns for _, message in wanted], dtype=np.int64),
+            b"".join([message.data for message in wanted]),
+            np.array([numbers[message.topic] for message in wanted], dtype=np.int64),
+            np.array([message.stamp_ns for message in wanted], dtype=np.int64),
             np.cumsum(sizes) - sizes,
             sizes,
         )

@@ -198,7 +198,7 @@ def extract_window(
     carried: Carried,
     choices: RoleChoices | None = None,
 ) -> WindowFeatures:
-    """Compute the features of one window of a recording in progress.
+    """Compute the features of one window of a recording in progress, without signals.
 
     Parameters
     ----------
@@ -216,12 +216,10 @@ def extract_window(
     """
     robot = only_robot(run, choices)
     run = replace(run, bag=robot.bag)
-    signals = SignalCollector(robot)
-    recording = KeptMessages.read(robot, manager.plugins, carried, signals.see)
+    recording = KeptMessages.read(robot, manager.plugins, carried)
     extraction = _Extraction(run, manager, recording, Span(0, recording.clock.duration_ns))
     span = Span(round(start_s * 1e9), recording.clock.duration_ns)
-    of_signals = SignalTable(signals.signals(recording.times_ns))
-    table = extraction.windows(_keys(run, robot), [span], of_signals)
+    table = extraction.windows(_keys(run, robot), [span], SignalTable([]))
     return WindowFeatures(table.frame(), recording.carried())
 
 
