@@ -8,14 +8,17 @@ It prints one table::
 Normal recordings are split by session where there are at least three, else one by one. Each is
 scored by what was learned from the others, and so is each abnormal one. The AUC has an interval of
 95 % from a bootstrap over sessions. The false positive rate is that of the exit code's rule on
-normal recordings that took no part in learning, where it learns from at most 20. The last column
-counts recordings that leak from one part into the other.
+normal recordings that took no part in learning, where it learns from at most 20. Further columns
+count recordings that leak from one part into the other, and give the processor time of learning and
+scoring, over that of the Mahalanobis distance. Files other than those of the published figures are
+reported first.
 """
 
 import argparse
 import itertools
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -33,6 +36,7 @@ from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
 from oracle_pipeline.scoring.learning import learned_scorer
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+from tools.robotbench.manifest import MANIFEST, compared
 from tools.robotbench.sets import SETS, Case
 
 BASELINES = ("pca", "mahalanobis", "z_3", "z_10", "isolation_forest")  # as `--detector`
@@ -66,6 +70,7 @@ class Scores(NamedTuple):
     normal: Floats
     bad: Floats
     p_values: Floats  # of the bad ones
+    seconds: float  # of the processor
 
 
 def main() -> None:
@@ -80,12 +85,20 @@ def main() -> None:
     if unknown := [name for name in arguments.sets if name not in SETS]:
         parser.error(f"there is no set {unknown[0]}; known are {', '.join(SETS)}")
     heads = ["set", "robot", "normal / abnormal", "signals", "oracle", "false positives"]
-    print(f"| {' | '.join([*heads, *BASELINES, 'dose', 'leaks'])} |")
-    print("| --- " * (len(heads) + len(BASELINES) + 2) + "|")
-    for name in arguments.sets or SETS:
+    heads += [*BASELINES, "dose", "leaks", "time"]
+    chosen = arguments.sets or list(SETS)
+    here = set()
+    for folder in dict.fromkeys(SETS[name][0] for name in chosen):
+        count, told = compared(arguments.folder / folder, MANIFEST[folder])
+        if count:
+            here.add(folder)
+        for line in told:
+            print(line, file=sys.stderr)
+    print(f"| {' | '.join(heads)} |")
+    print("| --- " * len(heads) + "|")
+    for name in chosen:
         folder, robot, load = SETS[name]
-        if not (arguments.folder / folder).is_dir():
-            print(f"{name}: {arguments.folder / folder} does not exist; left out", file=sys.stderr)
+        if folder not in here:
             continue
         with tempfile.TemporaryDirectory(prefix="robotbench-") as work:
             measured = _measured(list(load(arguments.folder / folder, Path(work))))
@@ -126,27 +139,31 @@ def _row(measured: Measured) -> Iterator[str]:
     yield f"{len(normal)} / {len(bad)}"
     yield str(len(signal_columns(measured.table)))
     ours = _scored(measured, normal, bad)
+    times: dict[str, float] = {}
     yield _auc_text(ours.normal, ours.bad, sessions[normal], sessions[bad])
     yield _false_positives(measured, normal)
     for baseline in BASELINES:
         scores = _scored(measured, normal, bad, baseline)
+        times[baseline] = scores.seconds
         yield _auc_text(scores.normal, scores.bad, sessions[normal], sessions[bad])
     dose = np.array([case.dose for case in measured.cases])[bad]
     known = np.isfinite(dose)
     found = ours.p_values <= _nominal(len(normal))
     yield _response(ours.bad[known], found[known], dose[known]) if known.sum() > 2 else ""
     yield _leaks(measured)
+    yield f"{ours.seconds / times['mahalanobis']:.1f} times"
 
 
 def _scored(
     measured: Measured, normal: NDArray[np.intp], bad: NDArray[np.intp], detector: str = ""
 ) -> Scores:
     """Return scores of normal recordings by what was learned from the others, and of the others."""
+    began = time.process_time()
     scorer = learned_scorer(measured.part(normal), detector=detector)
     part = measured.part(bad)
     scores = scorer.scores(_columns(scorer, part))
     own, p = scorer.own_score(scores, part.block), scorer.p_values(scores, part.block)
-    return Scores(scorer.held_out_, own, p)
+    return Scores(scorer.held_out_, own, p, time.process_time() - began)
 
 
 def _columns(scorer: CrossConformalScorer, runs: MeasuredRuns) -> MeasuredRuns:
