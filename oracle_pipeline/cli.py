@@ -337,17 +337,9 @@ def score(
         raise
     limits = Limits(time_limit, memory_limit)
     verdicts = judging.score(
-        recordings,
-        normal,
-        manager,
-        far,
-        limits,
-        strict=strict,
-        choices=choices,
-        hold_to_contract=not no_contract,
-        together=suite,
-        check=fault_sentences,
-    )
+        recordings, normal, manager, far, limits, strict=strict, choices=choices,
+        hold_to_contract=not no_contract, together=suite, check=fault_sentences,
+    )  # fmt: skip
     write_junit(verdicts)
     if file_format == "json":
         click.echo(output.as_json(verdicts, far, normal.notes))

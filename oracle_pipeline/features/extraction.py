@@ -196,7 +196,7 @@ def extract_window(
     manager: FeatureManager,
     start_s: float,
     carried: Carried,
-    choices: RoleChoices | None = None,
+    robot: Robot | None = None,
 ) -> WindowFeatures:
     """Compute the features of one window of a recording in progress, without signals.
 
@@ -211,10 +211,10 @@ def extract_window(
         When the window begins, since the start of the recording [s].
     carried : mapping
         Of the window before; empty for the first one.
-    choices : RoleChoices, optional
-        From a roles file.
+    robot : Robot, optional
+        By default the only one of the recording.
     """
-    robot = only_robot(run, choices)
+    robot = robot or only_robot(run)
     run = replace(run, bag=robot.bag)
     recording = KeptMessages.read(robot, manager.plugins, carried)
     extraction = _Extraction(run, manager, recording, Span(0, recording.clock.duration_ns))
@@ -379,9 +379,9 @@ class _Extraction:
         return fp.Missing(f"{type(error).__name__}: {error}")
 
 
-def only_robot(run: OpenedRun, choices: RoleChoices | None = None) -> Robot:
+def only_robot(run: OpenedRun) -> Robot:
     """Return the robot of a recording; `BagError` if there are several."""
-    robots = find_robots(run.bag, choices)
+    robots = find_robots(run.bag)
     if len(robots) > 1:
         raise BagError(
             f"{run.path} has several robots: {', '.join(robot.name for robot in robots)}; compute "

@@ -7,10 +7,13 @@ twice in a row, because discovery reports a node and its endpoints one by one.
 import math
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import TypeAlias
 
 from oracle_pipeline.bags.discovery import Discovery, Endpoint
 from oracle_pipeline.bags.protocol import is_hidden
+from oracle_pipeline.bags.reader import Topic
 from oracle_pipeline.live.graph_snapshot import snapshot
+from oracle_pipeline.robots.robot import names_of_robots
 from oracle_pipeline.scoring.alarms import REPEAT_S
 from oracle_pipeline.scoring.contract import (
     Breach,
@@ -27,7 +30,7 @@ STARTUP_S = 60.0  # until then, missing nodes and topics are not reported [s]
 
 
 class ContractWatch:
-    """Compares the nodes, topics and rates of a domain with a contract.
+    """Compares the nodes, topics and rates of each robot of a domain with a contract.
 
     Parameters
     ----------
@@ -37,10 +40,7 @@ class ContractWatch:
     def __init__(self, contract: Contract) -> None:
         self._contract = contract
         self._arrivals: dict[str, _RecentCounts] = {}  # by topic
-        self._topics: set[str] = set()  # that have existed so far
-        self._graph: frozenset[str] = frozenset()  # elements that have existed so far
-        self._lasting: dict[str, int] = {}  # checks in a row that found a breach, by its name
-        self._reported_s: dict[str, float] = {}  # when a breach was last reported, by its name
+        self._robots: dict[str, _RobotWatch] = {}
 
     def count(self, topic: str, at_s: float) -> None:
         """Count a message that arrived at a time of the recording [s]."""
@@ -76,29 +76,62 @@ class ContractWatch:
         if not publishers:  # the robot has left
             self._arrivals.clear()
             return ()
-        seen = self._observed(now_s, publishers, graph_elements(snapshot(discovery, {})))
-        found = [*self._contract.breaches(seen, rates=False), *self._of_pace(now_s, publishers)]
-        found = _without_consequences(found)
+        graph = graph_elements(snapshot(discovery, {}))
+        topics = {name: Topic(name, e[0].msgtype, 0, ()) for name, e in publishers.items()}
+        found: list[Breach] = []
+        for robot, _, names in names_of_robots(topics):
+            watch = self._robots.setdefault(robot, _RobotWatch(self._contract))
+            seen = {own: (name, publishers[name]) for name, own in names.items()}
+            told = watch.check(now_s, seen, graph, self._arrivals)
+            found += [b._replace(text=f"{robot}: {b.text}") if robot else b for b in told]
+        for name in publishers.keys() & self._arrivals.keys():
+            self._arrivals[name].end_second()
+        return tuple(found)
+
+
+_Seen: TypeAlias = Mapping[str, tuple[str, Sequence[Endpoint]]]  # recorded name, publishers
+
+
+class _RobotWatch:
+    """Compares one robot with a contract, whose topics have names relative to it."""
+
+    def __init__(self, contract: Contract) -> None:
+        self._contract = contract
+        self._topics: set[str] = set()  # that have existed so far
+        self._graph: frozenset[str] = frozenset()  # elements that have existed so far
+        self._lasting: dict[str, int] = {}  # checks in a row that found a breach, by its name
+        self._reported_s: dict[str, float] = {}  # when a breach was last reported, by its name
+
+    def check(
+        self,
+        now_s: float,
+        seen: _Seen,
+        graph: frozenset[str],
+        arrivals: Mapping[str, "_RecentCounts"],
+    ) -> Iterator[Breach]:
+        """Yield the breaches to report."""
+        observed = self._observed(now_s, seen, graph)
+        pace = self._of_pace(now_s, seen, arrivals)
+        found = _without_consequences([*self._contract.breaches(observed, rates=False), *pace])
         self._lasting = {each.name: self._lasting.get(each.name, 0) + 1 for each in found}
-        reported = tuple(each for each in found if self._is_due(each.name, now_s))
-        self._reported_s |= dict.fromkeys((each.name for each in reported), now_s)
-        return reported
+        for each in found:
+            if self._is_due(each.name, now_s):
+                self._reported_s[each.name] = now_s
+                yield each
 
     def _is_due(self, name: str, now_s: float) -> bool:
         is_news = now_s - self._reported_s.get(name, -math.inf) >= REPEAT_S
         return is_news and self._lasting[name] >= CONSECUTIVE
 
-    def _observed(
-        self, now_s: float, publishers: Mapping[str, Sequence[Endpoint]], graph: frozenset[str]
-    ) -> Observation:
+    def _observed(self, now_s: float, seen: _Seen, graph: frozenset[str]) -> Observation:
         """Return what exists now; while the robot starts, together with what has yet to start."""
         contract = self._contract
-        self._topics |= publishers.keys()
+        self._topics |= seen.keys()
         self._graph |= graph
         topics = {
-            name: _shown(endpoints, contract.topics.get(name))
-            for name, endpoints in publishers.items()
-            if name in contract.topics or not _is_in(name, contract.ever)
+            own: _shown(endpoints, contract.topics.get(own))
+            for own, (name, endpoints) in seen.items()
+            if own in contract.topics or not _is_in(name, contract.ever)
         }
         if now_s < STARTUP_S:
             graph |= contract.always - self._graph
@@ -106,17 +139,18 @@ class ContractWatch:
             topics |= {name: (contract.topics[name].types[0], (), None) for name in to_come}
         return Observation(topics, graph)
 
-    def _of_pace(self, now_s: float, publishers: Collection[str]) -> Iterator[Breach]:
+    def _of_pace(
+        self, now_s: float, seen: _Seen, arrivals: Mapping[str, "_RecentCounts"]
+    ) -> Iterator[Breach]:
         """Yield breaches of rate of the topics that have a publisher."""
-        for name, arrivals in self._arrivals.items():
-            if name not in publishers:
+        for own, (name, _) in seen.items():
+            if (arrived := arrivals.get(name)) is None:
                 continue
-            breach = self._contract.breach_of_silence(name, now_s - arrivals.last_s)
-            if breach is None and arrivals.is_full():
-                breach = self._contract.breach_of_count(name, sum(arrivals.counts))
+            breach = self._contract.breach_of_silence(own, now_s - arrived.last_s)
+            if breach is None and arrived.is_full:
+                breach = self._contract.breach_of_count(own, sum(arrived.counts))
             if breach is not None:
                 yield breach
-            arrivals.counts.append(0)
 
 
 class _RecentCounts:
@@ -125,12 +159,17 @@ class _RecentCounts:
     def __init__(self) -> None:
         self.last_s = 0.0
         self.counts: deque[int] = deque([0], maxlen=SPAN_S)
-        self._checks = 0
+        self._ended = 0
 
+    @property
     def is_full(self) -> bool:
-        """Return whether all counted seconds are whole; call it once a second."""
-        self._checks += 1
-        return self._checks > SPAN_S  # the first message came within a second
+        """Whether all counted seconds are whole."""
+        return self._ended >= SPAN_S  # the first message came within a second
+
+    def end_second(self) -> None:
+        """Count the messages of the next second."""
+        self.counts.append(0)
+        self._ended += 1
 
 
 def _without_consequences(found: Sequence[Breach]) -> list[Breach]:

@@ -11,7 +11,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -28,6 +28,7 @@ from oracle_pipeline.features.extraction import extract_window
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.live.recent import CONTEXT_S, RecentMessages
 from oracle_pipeline.live.window_scorer import WindowScorer, WindowVerdict
+from oracle_pipeline.robots.robot import find_robots
 from oracle_pipeline.scoring.card import ReferenceCard
 
 _END_S = 10.0  # until the process is killed
@@ -58,18 +59,22 @@ class _Window:
     timed: bool  # whether the times and numbers of its messages are the robot's
 
 
+@dataclass(slots=True)
+class _JudgedRobot:
+    """What the verdicts on the windows of a robot depend on."""
+
+    scorer: WindowScorer
+    carried: Carried = field(default_factory=dict)  # of the window before
+
+
 @dataclass(frozen=True, slots=True)
 class _Begin:
     """Another segment begins: what came before does not belong to it."""
 
 
-@dataclass(frozen=True, slots=True)
-class _LeftOut:
-    """A window that was not judged, because newer ones were waiting."""
-
-
 _Request: TypeAlias = _Topic | _Begin | _Window | Interval | list[RawMessage] | None
-_Answer: TypeAlias = WindowVerdict | _LeftOut | OracleError
+_Verdicts: TypeAlias = list[WindowVerdict]  # one for each robot; none if the window is left out
+_Answer: TypeAlias = _Verdicts | OracleError
 
 
 class JudgeProcess:
@@ -166,22 +171,23 @@ class JudgeProcess:
                     raise answer
                 is_late = self._of_before > 0
                 self._of_before -= is_late
-                if is_late or isinstance(answer, _LeftOut):
+                if is_late or not answer:
                     self.left_out += 1
                 else:
-                    yield answer
+                    yield from answer
         except (EOFError, ConnectionError):
             raise self._death() from None
 
     def close(self) -> list[WindowVerdict]:
         """End the process; return the verdicts on windows that had ended before."""
-        last, until = [], time.monotonic() + _END_S
+        last: _Verdicts = []
+        until = time.monotonic() + _END_S
         try:
             self._pipe.send(None)
             while self._pipe.poll(max(0.0, until - time.monotonic())):
                 answer = self._pipe.recv()
-                if isinstance(answer, WindowVerdict):
-                    last.append(answer)
+                if isinstance(answer, list):
+                    last += answer
         except (EOFError, OSError):
             pass  # it has ended
         self._process.join(max(0.0, until - time.monotonic()))
@@ -222,9 +228,8 @@ def _work(
     inbox = _Inbox(pipe)
     try:
         manager = build_manager(plugins)
-        scorer = WindowScorer(reference, alarms_per_h)
         recent = RecentMessages()
-        carried: Carried = {}
+        robots: dict[str, _JudgedRobot] = {}
         while (request := inbox.take()) is not None:
             if isinstance(request, list):
                 recent.add(request)
@@ -232,21 +237,28 @@ def _work(
                 recent.add_graph(request)
             elif isinstance(request, _Begin):
                 recent.clear()
-                scorer.restart()
-                carried = {}
+                robots.clear()
             elif isinstance(request, _Topic):
                 recent.add_topic(request.name, request.msgtype, request.qos)
             elif inbox.windows > _MOST_WAITING:
-                pipe.send(_LeftOut())
+                pipe.send([])
             else:
                 run = recent.until(request.recording_ns, request.end_ns)
                 start_s = (request.start_ns - request.recording_ns) / _SECOND_NS
                 if not request.timed:
                     run.disturbances.begin(start_s)
-                row, carried = extract_window(run, manager, start_s, carried, reference.roles)
-                verdict = scorer.judge(row, (request.end_ns - request.recording_ns) / _SECOND_NS)
+                found = []
+                for robot in find_robots(run.bag, reference.roles):
+                    if robot.name not in robots:
+                        robots[robot.name] = _JudgedRobot(WindowScorer(reference, alarms_per_h))
+                    judged = robots[robot.name]
+                    row, judged.carried = extract_window(
+                        run, manager, start_s, judged.carried, robot
+                    )
+                    end_s = (request.end_ns - request.recording_ns) / _SECOND_NS
+                    found.append(replace(judged.scorer.judge(row, end_s), robot=robot.name))
                 latency_s = time.monotonic() - request.ended_at
-                pipe.send(replace(verdict, latency_s=latency_s, timed=request.timed))
+                pipe.send([replace(v, latency_s=latency_s, timed=request.timed) for v in found])
     except OracleError as error:
         pipe.send(error)
     except BrokenPipeError:

@@ -130,18 +130,11 @@ def watch(
         page = None if view is None else stack.enter_context(_page(view))
         watching = stack.enter_context(
             Watch(
-                _source(number, zenoh, keep_service if keep else ""),
-                card=reference,
-                folder=out,
-                name=name,
-                split=split,
-                piece_s=math.inf if learn is None else _PIECE_S,
-                keep=keep,
-                keep_free_bytes=keep_free,
-                alarms_per_h=alarms_per_hour,
-                plugins=plugins,
+                _source(number, zenoh, keep_service if keep else ""), card=reference, folder=out,
+                name=name, split=split, piece_s=math.inf if learn is None else _PIECE_S, keep=keep,
+                keep_free_bytes=keep_free, alarms_per_h=alarms_per_hour, plugins=plugins,
             )
-        )
+        )  # fmt: skip
         for ends in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(ends, lambda *_: watching.stop())
         signal.signal(signal.SIGUSR1, lambda *_: watching.trigger("the signal SIGUSR1"))
@@ -267,12 +260,13 @@ def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
         shown = "usual" if event.is_usual else "UNUSUAL"
         yield (
             f"{event.end_s:6.0f} s  {shown.ljust(7)} score {event.score:.3g}, "
-            f"p = {event.p_value:.3g} among normal windows"
+            f"p = {event.p_value:.3g} among normal windows{event.robot and f' of {event.robot}'}"
             f"{'' if event.timed else ', without rate and timing: this machine is too busy'}"
         )
     elif isinstance(event, WindowAlarm):
         verdict = event.verdict
-        yield f"ALARM in the window from {verdict.start_s:g} s to {verdict.end_s:g} s:"
+        of = verdict.robot and f" of {verdict.robot}"
+        yield f"ALARM in the window from {verdict.start_s:g} s to {verdict.end_s:g} s{of}:"
         yield from aligned_lines([HEADINGS, *map(cells, verdict.evidence)], indent="    ")
     elif isinstance(event, ContractAlarm):
         yield f"ALARM at {event.at_s:.0f} s, against the contract of the normal recordings:"

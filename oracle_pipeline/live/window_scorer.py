@@ -35,6 +35,7 @@ class WindowVerdict:
     latency_s: float = 0.0  # wall time from the end of the window to the verdict
     timed: bool = True  # whether features of rate and timing counted
     alarm_score: float = 0.0  # above it, one window raises an alarm by itself
+    robot: str = ""  # its namespace; empty if it is the only one
 
 
 class WindowScorer:
@@ -71,10 +72,6 @@ class WindowScorer:
         self._normal = np.sort(normal.scores)
         self.alarms_per_h = alarms_per_h or max(RATE_PER_H, normal.lowest_rate())
         self._watch = AlarmWatch(normal.rule(self.alarms_per_h))
-
-    def restart(self) -> None:
-        """Forget the windows so far: time starts anew."""
-        self._watch = AlarmWatch(self._watch.rule)
 
     def judge(self, row: pd.DataFrame, end_s: float) -> WindowVerdict:
         """Judge a window by its row of features."""

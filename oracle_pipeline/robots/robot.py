@@ -80,20 +80,43 @@ def find_robots(
         The roles file has a robot without topics, or a topic whose type does not fit its role.
     """
     choices = choices or RoleChoices()
-    spaces = sorted(_namespaces(bag) if choices.robots is None else choices.robots)
-    for space in spaces:
+    for space in choices.robots or ():
         if space and not any(name.startswith(f"{space}/") for name in bag.topics):
             raise RolesError(
                 f"The roles file names the robot {space}, but {bag.path} has no topic in that "
                 "namespace. Use another, or omit `robots` to detect robots."
             )
-    robots = []
-    for space in spaces:
-        others = [other for other in spaces if other != space]
-        seen = bag.renamed(_names(bag.topics, space, others))
-        name = space.strip("/") if others else ""
-        robots.append(_robot(name, space, seen, choices.topics, known))
-    return robots
+    return [
+        _robot(name, space, bag.renamed(names), choices.topics, known)
+        for name, space, names in names_of_robots(bag.topics, choices.robots)
+    ]
+
+
+def names_of_robots(
+    topics: Mapping[str, Topic], spaces: Collection[str] | None = None
+) -> list[tuple[str, str, dict[str, str]]]:
+    """Return name and namespace of each robot, and the names that its topics have to it.
+
+    Parameters
+    ----------
+    topics : mapping of str to Topic
+    spaces : collection of str, optional
+        Namespaces of robots; by default they are detected.
+
+    Returns
+    -------
+    list of tuple
+        The third element has names relative to the robot, by recorded names.
+    """
+    spaces = sorted(_namespaces(topics) if spaces is None else spaces)
+    return [
+        (
+            space.strip("/") if spaces[1:] else "",
+            space,
+            _names(topics, space, [other for other in spaces if other != space]),
+        )
+        for space in spaces
+    ]
 
 
 def _robot(
@@ -160,16 +183,16 @@ def _inside(name: str, space: str) -> str:
     return name[len(space) :]
 
 
-def _namespaces(bag: BagReader) -> list[str]:
+def _namespaces(topics: Mapping[str, Topic]) -> list[str]:
     """Return the namespaces that are robots; the root, which is empty, if there are none.
 
     A robot publishes its motion (odometry, or else commands) and at least one other robot topic. If
     several sibling namespaces do, and no topic outside has the motion, each is a robot. If only one
     does, and there are no robot topics outside, it is the robot.
     """
-    own = [topic for topic in bag.topics.values() if topic.msgtype not in SHARED_TYPES]
+    own = [topic for topic in topics.values() if topic.msgtype not in SHARED_TYPES]
     spaces = _below("", own)
-    if len(spaces) == 1 and len(_names(bag.topics, spaces[0], ())) < len(bag.topics):
+    if len(spaces) == 1 and len(_names(topics, spaces[0], ())) < len(topics):
         return [""]  # two topics would have the same name
     return spaces
 

@@ -130,18 +130,10 @@ class _Aircraft:
         track = math.atan2(velocity.real, velocity.imag) + convergence(latitude, longitude)
         recent = (s for s, time_ns in self.received_ns.items() if now_ns - time_ns <= MEMORY_NS)
         return _Track(
-            self.track_id,
-            self.icao24,
-            self.callsign,
-            self.squawk,
-            latitude,
-            longitude,
-            self.altitude_m(now_ns),
-            abs(velocity),
-            math.degrees(track) % 360.0,
-            0.0 if height is None else height.velocity,
-            sum(recent),
-        )
+            self.track_id, self.icao24, self.callsign, self.squawk, latitude, longitude,
+            self.altitude_m(now_ns), abs(velocity), math.degrees(track) % 360.0,
+            0.0 if height is None else height.velocity, sum(recent),
+        )  # fmt: skip
 
 
 class Fusion(Node):

@@ -134,15 +134,8 @@ def _row(mutant: Job) -> dict[str, Any]:
 def _mutated(original: Manifest, mode: Mode, summary: Summary) -> Manifest:
     """Return the fields of a mutant's manifest that differ from those of its source run."""
     return dataclasses.replace(
-        original,
-        mode=mode.id,
-        label=mode.label,
-        scenario=mode.id,
-        scenario_hash=mode.scenario.digest,
-        onset_s=summary.onset_s,
-        task_effect=None,
-        changes=summary.changes,
-        topics=summary.topics,
-        content_hash=summary.content_hash,
+        original, mode=mode.id, label=mode.label, scenario=mode.id,
+        scenario_hash=mode.scenario.digest, onset_s=summary.onset_s, task_effect=None,
+        changes=summary.changes, topics=summary.topics, content_hash=summary.content_hash,
         software=software(TESTBEDS[which_testbed(mode.scenario)]),
-    )
+    )  # fmt: skip

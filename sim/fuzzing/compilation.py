@@ -132,30 +132,15 @@ def compile_scenario(
             magnitude = scope.term(text, ("ground_truth", "magnitude"), Number)
     parts = [part for part in (always, *actions, timer) if part is not None]
     program = Program(
-        scenario=scenario,
-        type=kind,
-        as_sent=as_sent(kind),
-        input_topic=main["input"],
-        output_topic=main["output"],
-        further_outputs=dict(outputs.values()),
-        sources=sources,
-        parameters=parameters,
-        activation=activation,
-        cost=sum(part.cost for part in parts),
-        constants={name: value for name, (_, value) in constants.items()},
-        state=state,
-        lifetimes_ns=lifetimes_ns,
-        always=always,
-        actions=actions,
-        first_match_only=transform.get("match", "first") == "first",
-        period=period,
-        timer=timer,
-        magnitude=magnitude,
-        outputs=limits.get("outputs", OUTPUTS),
-        memory=playback(parts),
-        to=tuple(main.get("to", ())),
-        node_parameters=node_parameters,
-    )
+        scenario=scenario, type=kind, as_sent=as_sent(kind), input_topic=main["input"],
+        output_topic=main["output"], further_outputs=dict(outputs.values()), sources=sources,
+        parameters=parameters, activation=activation, cost=sum(part.cost for part in parts),
+        constants={name: value for name, (_, value) in constants.items()}, state=state,
+        lifetimes_ns=lifetimes_ns, always=always, actions=actions,
+        first_match_only=transform.get("match", "first") == "first", period=period, timer=timer,
+        magnitude=magnitude, outputs=limits.get("outputs", OUTPUTS), memory=playback(parts),
+        to=tuple(main.get("to", ())), node_parameters=node_parameters,
+    )  # fmt: skip
     with faults.gathered():
         program = with_further_topics(program, on_message, numbers)
     faults.end()

@@ -92,21 +92,12 @@ def with_further_topics(
         )
         actions, _ = compile_actions(name, context, numbers)
         lane = dataclasses.replace(
-            program,
-            type=kind,
-            as_sent=as_sent(kind),
-            input_topic=spec["input"],
-            output_topic=spec["output"],
-            further_outputs={},
-            always=None,
-            actions=actions,
-            period=None,
-            timer=None,
-            magnitude=program.magnitude if kind == program.type else None,
-            memory=playback(actions),
-            to=tuple(spec.get("to", ())),
+            program, type=kind, as_sent=as_sent(kind), input_topic=spec["input"],
+            output_topic=spec["output"], further_outputs={}, always=None, actions=actions,
+            period=None, timer=None, magnitude=program.magnitude if kind == program.type else None,
+            memory=playback(actions), to=tuple(spec.get("to", ())),
             within_ns=round(spec.get("within_s", WITHIN_S) * SECOND),
-        )
+        )  # fmt: skip
         lanes.append(lane)
     cost = program.cost + sum(action.cost for lane in lanes for action in lane.actions)
     return dataclasses.replace(program, also=tuple(lanes), cost=cost)

@@ -31,15 +31,15 @@ class Robot:
             self.participant, ENTITIES_TOPIC, ENTITIES_TYPE, LATCHED, self.store
         )
 
-    def node(self, name, *, publishes=(), subscribes=(), qos=DEFAULT):
-        """Add a node and its endpoints; topics are of strings."""
+    def node(self, name, *, publishes=(), subscribes=(), qos=DEFAULT, msgtype=STRING):
+        """Add a node and its endpoints."""
         for topic in publishes:
             self.writers[name, self.namespace + topic] = dds.RawWriter(
-                self.participant, dds_topic(self.namespace + topic), STRING, qos
+                self.participant, dds_topic(self.namespace + topic), msgtype, qos
             )
         for topic in subscribes:
             self.readers[name, self.namespace + topic] = dds.RawReader(
-                self.participant, dds_topic(self.namespace + topic), STRING, qos
+                self.participant, dds_topic(self.namespace + topic), msgtype, qos
             )
         return self
 

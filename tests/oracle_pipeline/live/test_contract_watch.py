@@ -71,6 +71,31 @@ def test_a_robot_that_keeps_the_contract_has_no_breach(watched):
     assert reported(ContractWatch(contract), discovery, to_s=100) == {}
 
 
+@pytest.mark.parametrize("spaces", [("/robot1",), ("/robot1", "/robot2")])
+def test_topics_in_the_namespace_of_a_robot_are_its_own(domain, eventually, spaces):
+    topics = {"/odom": "nav_msgs/msg/Odometry", "/scan": "sensor_msgs/msg/LaserScan"}
+    normal = Observation(
+        {name: (msgtype, qos_words([DEFAULT]), 10.0) for name, msgtype in topics.items()}, None,
+        {name: Pace(0.2, 100, 100) for name in topics},
+    )  # fmt: skip
+    robots = [Robot(domain, space) for space in spaces]
+    for robot in robots:
+        for name, msgtype in topics.items():
+            robot.node("driver", publishes=[name], msgtype=msgtype)
+        robot.announce()
+    discovery = DdsDiscovery(dds.join(domain))
+    known = {space + name for space in spaces for name in topics}
+    assert eventually(lambda: discovery.update() or known <= discovery.topics().keys())
+    watch, texts = ContractWatch(Contract.learned([normal])), []
+    for now_s in range(1, 80):
+        for name in known if now_s < 70 else known - {f"{spaces[-1]}/scan"}:
+            for tenth in range(10):
+                watch.count(name, now_s - 1 + tenth / 10)
+        texts += [each.text for each in watch.check(float(now_s), discovery, known)]
+    (text,) = texts
+    assert text.startswith("robot2: Topic /scan" if spaces[1:] else "Topic /scan")
+
+
 def test_a_topic_that_falls_silent_is_reported_within_seconds_and_once(watched):
     discovery, contract = watched
     watch = ContractWatch(contract)

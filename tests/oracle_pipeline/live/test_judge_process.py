@@ -4,6 +4,7 @@ import json
 import multiprocessing
 import os
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -19,6 +20,7 @@ from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.live.judge_process import JudgeProcess
 from oracle_pipeline.live.recent import CONTEXT_S, RecentMessages
 from oracle_pipeline.opened_run import open_run
+from oracle_pipeline.robots.robot import find_robots
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 from sim.campaigns import Campaign
@@ -40,11 +42,15 @@ def test_an_interrupt_of_the_whole_terminal_does_not_end_the_judge_while_it_star
     assert not judge.close()
 
 
-def judged(judge, run):
-    """Return the verdicts on the windows of a run whose messages come one after the other."""
+def judged(judge, run, spaces=("",)):
+    """Return the verdicts on the windows of a run whose messages come one after the other.
+
+    In each of some namespaces, there is a robot that does the same.
+    """
     judge.begin()
     for topic in run.bag.topics.values():
-        judge.add_topic(topic.name, topic.msgtype, topic.qos)
+        for space in spaces:
+            judge.add_topic(f"{space}{topic.name}", topic.msgtype, topic.qos)
     start_ns, window, verdicts = run.bag.start_ns, 0, []
     graphs, fresh = list(run.intervals), []
     for message in run.bag.messages():
@@ -55,10 +61,25 @@ def judged(judge, run):
                 judge.add_graph(graphs.pop(0))
             judge.end_window(start_ns, end_ns - round(WINDOW_S * SECOND_NS), end_ns)
             window += 1
-            verdicts.append(next(judge.verdicts(600.0)))  # as slowly as a robot
+            answer = judge.verdicts(600.0)
+            verdicts += [next(answer) for _ in spaces]  # as slowly as a robot
             fresh = []
-        fresh.append(message)
+        fresh += [message._replace(topic=f"{space}{message.topic}") for space in spaces]
     return verdicts, window
+
+
+def test_each_robot_of_a_fleet_is_judged_as_if_it_were_alone(normal_card, recorded_run):
+    found = []
+    with open_run(recorded_run(NORMAL).path) as run:
+        for spaces in (("",), ("/robot1", "/robot2")):
+            judge = JudgeProcess(normal_card, PER_HOUR)
+            verdicts, windows = judged(judge, replace(run, intervals=()), spaces)
+            assert not judge.close()
+            found.append(verdicts)
+    alone, fleet = found
+    assert [each.robot for each in fleet] == ["robot1", "robot2"] * windows
+    for own in (fleet[::2], fleet[1::2]):
+        assert [each.score for each in own] == pytest.approx([each.score for each in alone])
 
 
 def test_every_window_gets_its_verdict_and_an_attack_raises_an_alarm(normal_card, recorded_run):
@@ -128,7 +149,8 @@ def test_the_roles_that_a_card_was_learned_with_count(recorded_run):
         end_ns = run.bag.start_ns + 20 * SECOND_NS
         ended = recent.until(run.bag.start_ns, end_ns)
     found, chosen = (
-        extract_window(ended, manager, 15.0, {}, roles).row for roles in (None, choices)
+        extract_window(ended, manager, 15.0, {}, *find_robots(ended.bag, roles)).row
+        for roles in (None, choices)
     )
     assert found["contextual.speed"].notna().all()
     assert "role odometry" in json.loads(chosen["missing"].iloc[0])["contextual.speed"]
