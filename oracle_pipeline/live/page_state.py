@@ -172,6 +172,7 @@ def _verdict(event: WindowVerdict) -> Part:
         "usual": event.is_usual,
         "alarm": event.alarm,
         "timed": event.timed,
+        "robot": printable(event.robot),
         "alarm_score": event.alarm_score,
     }
 
@@ -187,6 +188,7 @@ def _alarm(event: WindowAlarm | ContractAlarm) -> Part:
     verdict = event.verdict
     return {
         **{k: v for k, v in asdict(verdict).items() if k in ("start_s", "end_s", "p_value")},
+        "robot": printable(verdict.robot),
         "headings": list(HEADINGS),
         "evidence": [[printable(cell) for cell in cells(each)] for each in verdict.evidence],
     }

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
@@ -82,6 +83,15 @@ def test_a_late_window_gets_all_data_and_names_of_the_robot_are_text(
     expect(page.locator("#notes li")).to_have_text(re.compile("3 messages were dropped"))
     assert visit.said == []
     assert {url.removeprefix(live.address) for url in visit.asked} <= {"/", "/events", "data:,"}
+
+
+def test_each_robot_of_a_fleet_has_its_own_line(browser: Browser, live: LivePage) -> None:
+    for number in (1, 2):
+        for robot in ("robot1", "robot2"):
+            live.show(replace(verdict(number), robot=robot, is_usual=robot != "robot1"))
+    page = Visit(browser, live).page
+    expect(page.locator("#score polyline.score")).to_have_count(2)
+    expect(page.locator("#verdict")).to_have_text(re.compile("^unusual: robot1 at 0:10"))
 
 
 def test_the_edges_of_a_vertex_stand_out_under_the_pointer(
