@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import TypeAlias
 
 from oracle_pipeline.bags.discovery import Discovery, Endpoint
+from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.protocol import is_hidden
 from oracle_pipeline.bags.reader import Topic
 from oracle_pipeline.live.graph_snapshot import snapshot
@@ -27,6 +28,7 @@ from oracle_pipeline.scoring.pace import SPAN_S
 
 CONSECUTIVE = 2  # checks in a row that must find a breach before it is reported
 STARTUP_S = 60.0  # until then, missing nodes and topics are not reported [s]
+_AT_ONCE_S = 1.0  # in which the steady topics of a robot that is up have a message
 
 
 class ContractWatch:
@@ -46,13 +48,25 @@ class ContractWatch:
         """Count a message that arrived at a time of the recording [s]."""
         arrivals = self._arrivals.get(topic)
         if arrivals is None:
-            arrivals = self._arrivals[topic] = _RecentCounts()
+            arrivals = self._arrivals[topic] = _RecentCounts(at_s)
         arrivals.last_s = at_s
         arrivals.counts[-1] += 1
 
     def forget(self) -> None:
         """Count messages anew, since some were lost or late."""
         self._arrivals.clear()
+
+    def is_whole(self, graph: RosGraph) -> bool:
+        """Return whether a graph has all that is always there: the robot may be leaving."""
+        return self._contract.always <= graph_elements(graph)
+
+    def is_up(self, since_s: float) -> bool:
+        """Return whether the robots had started by a time, or had `STARTUP_S` for it.
+
+        A robot that starts has another rate, and no scan yet: that is no fault.
+        """
+        started = [robot.started_s <= since_s + _AT_ONCE_S for robot in self._robots.values()]
+        return since_s >= STARTUP_S or (bool(started) and all(started))
 
     def check(
         self, now_s: float, discovery: Discovery, known: Collection[str]
@@ -93,10 +107,19 @@ _Seen: TypeAlias = Mapping[str, tuple[str, Sequence[Endpoint]]]  # recorded name
 
 
 class _RobotWatch:
-    """Compares one robot with a contract, whose topics have names relative to it."""
+    """Compares one robot with a contract, whose topics have names relative to it.
+
+    Attributes
+    ----------
+    started_s : float
+        When the last of its steady topics had its first message; infinite until then [s].
+    """
 
     def __init__(self, contract: Contract) -> None:
+        self.started_s = math.inf
         self._contract = contract
+        always = {n: terms for n, terms in contract.topics.items() if terms.always}
+        self._steady = {n for n, terms in always.items() if terms.lowest_hz is not None}
         self._topics: set[str] = set()  # that have existed so far
         self._graph: frozenset[str] = frozenset()  # elements that have existed so far
         self._lasting: dict[str, int] = {}  # checks in a row that found a breach, by its name
@@ -110,9 +133,14 @@ class _RobotWatch:
         arrivals: Mapping[str, "_RecentCounts"],
     ) -> Iterator[Breach]:
         """Yield the breaches to report."""
-        observed = self._observed(now_s, seen, graph)
-        pace = self._of_pace(now_s, seen, arrivals)
-        found = _without_consequences([*self._contract.breaches(observed, rates=False), *pace])
+        first_s = {own: arrivals[n].first_s for own, (n, _) in seen.items() if n in arrivals}
+        if self._steady <= first_s.keys():
+            last_s = max((first_s[name] for name in self._steady), default=0.0)
+            self.started_s = min(self.started_s, last_s)
+        found = self._contract.breaches(self._observed(now_s, seen, graph), rates=False)
+        if now_s >= min(self.started_s, STARTUP_S):
+            found += self._of_pace(now_s, seen, arrivals)
+        found = _without_consequences(found)
         self._lasting = {each.name: self._lasting.get(each.name, 0) + 1 for each in found}
         for each in found:
             if self._is_due(each.name, now_s):
@@ -156,8 +184,8 @@ class _RobotWatch:
 class _RecentCounts:
     """Messages in each of the last seconds, from the first message on."""
 
-    def __init__(self) -> None:
-        self.last_s = 0.0
+    def __init__(self, first_s: float) -> None:
+        self.first_s = self.last_s = first_s
         self.counts: deque[int] = deque([0], maxlen=SPAN_S)
         self._ended = 0
 

@@ -167,7 +167,7 @@ def _graph(event: GraphTaken) -> Part:
 def _verdict(event: WindowVerdict) -> Part:
     return {
         "end_s": event.end_s,
-        "score": event.score if math.isfinite(event.score) else None,
+        "score": event.score if event.judged and math.isfinite(event.score) else None,
         "p_value": event.p_value,
         "usual": event.is_usual,
         "alarm": event.alarm,

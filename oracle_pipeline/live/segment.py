@@ -18,6 +18,7 @@ from oracle_pipeline.live.intake import PACKETS_S
 from oracle_pipeline.live.judge_process import JudgeProcess
 from oracle_pipeline.live.recorder import Recorder
 from oracle_pipeline.live.time_base import Stamped
+from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
 _SECOND_NS = 1_000_000_000
@@ -137,11 +138,19 @@ class Segment:
         if end_ns >= (self._interval + 1) * _INTERVAL_NS:
             self._end_interval()
             self._turn_over()
-        if self._judge is not None:
+        begin_s, end_s = begin_ns / _SECOND_NS, end_ns / _SECOND_NS
+        if self._judge is not None and not self._is_there(begin_s):
+            self._report(WindowVerdict(begin_s, end_s, 0.0, 1.0, True, False, judged=False))
+        elif self._judge is not None:
             start_ns = self.start_ns
-            timed = not self.disturbances.cover(begin_ns / _SECOND_NS, end_ns / _SECOND_NS)
+            timed = not self.disturbances.cover(begin_s, end_s)
             self._judge.end_window(start_ns, start_ns + begin_ns, start_ns + end_ns, timed=timed)
         self._window += 1
+
+    def _is_there(self, since_s: float) -> bool:
+        """Return whether the robot had started by a time, and has not left."""
+        is_up = self._contract is None or self._contract.is_up(since_s)
+        return is_up and bool(self._discovery.topics())
 
     def _skip_to(self, passed_ns: int) -> None:
         """Go to the window and interval of a time, past those in which nothing came."""
@@ -163,7 +172,8 @@ class Segment:
         self._interval += 1
         if self.recorder is not None:
             self.recorder.write_graph(start_s, graph)
-        if self._judge is not None:
+        is_whole = self._contract is None or self._contract.is_whole(graph)
+        if self._judge is not None and is_whole and self._is_there(start_s):
             self._judge.add_graph(Interval(float(start_s), graph))
         self._report(GraphTaken(start_s, graph))
 

@@ -256,6 +256,8 @@ def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
             f"{event.start_s:6d} s  graph: {kinds.count('node')} nodes, "
             f"{kinds.count('topic')} topics; {watching.received} messages so far"
         )
+    elif isinstance(event, WindowVerdict) and not event.judged:
+        yield f"{event.end_s:6.0f} s  not judged: the robot starts or leaves"
     elif isinstance(event, WindowVerdict):
         shown = "usual" if event.is_usual else "UNUSUAL"
         yield (

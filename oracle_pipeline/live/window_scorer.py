@@ -36,6 +36,7 @@ class WindowVerdict:
     timed: bool = True  # whether features of rate and timing counted
     alarm_score: float = 0.0  # above it, one window raises an alarm by itself
     robot: str = ""  # its namespace; empty if it is the only one
+    judged: bool = True  # false while the robot starts or leaves: the score says nothing
 
 
 class WindowScorer:

@@ -183,18 +183,12 @@ class Observer:
         graph = graph_elements(compose(each.graph for each in run.intervals))
         pace_of = paces(self._bag, self._seen)
         return Observation(
-            topics,
-            graph if run.intervals else None,
-            pace_of,
-            self.samples.constants(),
-            self.fingerprints.relays(),
-            not run.disturbances.loss(),
-            tuple(run.bag.losses),
+            topics, graph if run.intervals else None, pace_of, self.samples.constants(),
+            self.fingerprints.relays(), not run.disturbances.loss(), tuple(run.bag.losses),
             parameters=self.samples.parameters(),
             entropies=self.samples.entropies() if self._paced else {},
-            duration_s=max(duration_s, 1e-9),
-            set_back=clock.set_back,
-        )
+            duration_s=max(duration_s, 1e-9), set_back=clock.set_back,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,15 +53,10 @@ def _draw_session(seed: int, index: int) -> ArmSession:
     """Draw the conditions of a session; see docs/explanation/arm.md for the ranges."""
     rng = generator(seed, SESSION, index)
     return ArmSession(
-        index=index,
-        mass=rng.uniform(0.15, 0.35),
-        friction=rng.uniform(0.8, 1.1),
+        index=index, mass=rng.uniform(0.15, 0.35), friction=rng.uniform(0.8, 1.1),
         gains=rng.uniform(0.95, 1.05),
         joint_friction=tuple((rng.uniform(0.8, 1.2, 6) * _FRICTION).tolist()),
-        encoder=tuple(rng.uniform(-3e-4, 3e-4, 6).tolist()),
-        latency_ms=rng.uniform(1.0, 5.0),
-        camera=tuple(rng.uniform(-2e-3, 2e-3, 2).tolist()),
-        camera_m=rng.uniform(2e-4, 1e-3),
-        force_n=rng.uniform(0.5, 1.5),
-        torque_nm=rng.uniform(0.01, 0.03),
-    )
+        encoder=tuple(rng.uniform(-3e-4, 3e-4, 6).tolist()), latency_ms=rng.uniform(1.0, 5.0),
+        camera=tuple(rng.uniform(-2e-3, 2e-3, 2).tolist()), camera_m=rng.uniform(2e-4, 1e-3),
+        force_n=rng.uniform(0.5, 1.5), torque_nm=rng.uniform(0.01, 0.03),
+    )  # fmt: skip

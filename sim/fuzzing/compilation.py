@@ -88,16 +88,10 @@ def compile_scenario(
         "c": Record("c", {name: type_ for name, (type_, _) in constants.items()}),
     }
     context = CompileContext(
-        scenario,
-        _scope(scenario, given),
-        kind,
-        {"": (main["output"], kind), **outputs},
-        Record("state", state_types),
-        limits.get("array", LONGEST),
-        OperationNumbers(ACTIVATION + 1),
-        budget or OperationBudget(),
-        faults,
-    )
+        scenario, _scope(scenario, given), kind, {"": (main["output"], kind), **outputs},
+        Record("state", state_types), limits.get("array", LONGEST),
+        OperationNumbers(ACTIVATION + 1), budget or OperationBudget(), faults,
+    )  # fmt: skip
     sources = _sources(scenario, context)
     kept: dict[str, Type] = {
         **given,

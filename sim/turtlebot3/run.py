@@ -159,14 +159,9 @@ def _world_parameters(recipe: TurtleBot3Recipe) -> WorldParameters:
         walk = draw_walk(recipe.generator("pedestrian"), recipe.arena, start, there.x, there.y)
     session = recipe.session
     return WorldParameters(
-        start,
-        session.friction,
-        session.mass,
-        obstacles,
-        (session.wheel_left, session.wheel_right),
-        recipe.arena,
-        walk,
-    )
+        start, session.friction, session.mass, obstacles, (session.wheel_left, session.wheel_right),
+        recipe.arena, walk,
+    )  # fmt: skip
 
 
 def _pose(pose: Pose2D) -> schema.Pose:

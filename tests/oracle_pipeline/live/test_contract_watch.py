@@ -68,7 +68,19 @@ def reported(watch, discovery, *, from_s=0, to_s=20, period_s=PERIOD_S):
 
 def test_a_robot_that_keeps_the_contract_has_no_breach(watched):
     discovery, contract = watched
+    assert ContractWatch(contract).is_whole(snapshot(discovery, {}))
     assert reported(ContractWatch(contract), discovery, to_s=100) == {}
+
+
+def test_a_robot_is_up_once_its_steady_topics_came_or_a_minute_has_passed(watched):
+    discovery, contract = watched
+    watch = ContractWatch(contract)
+    assert reported(watch, discovery, to_s=10, period_s=None) == {}
+    assert not watch.is_up(9.0)
+    assert reported(watch, discovery, from_s=10, to_s=20) == {}
+    assert not watch.is_up(5.0)
+    assert watch.is_up(10.0)
+    assert ContractWatch(contract).is_up(STARTUP_S)
 
 
 @pytest.mark.parametrize("spaces", [("/robot1",), ("/robot1", "/robot2")])
@@ -136,6 +148,7 @@ def test_a_node_that_is_gone_is_reported_and_a_robot_that_has_left_is_not(
     robot.announce()
     assert eventually(lambda: discovery.update() or discovery.node_names() == ["/talker"])
     assert list(reported(watch, discovery, from_s=20, to_s=30)) == ["Node /ear is gone."]
+    assert not watch.is_whole(snapshot(discovery, {}))
     dds.leave(robot.participant)
     assert eventually(lambda: discovery.update() or not discovery.topics())
     assert reported(watch, discovery, from_s=30, to_s=90, period_s=None) == {}
