@@ -92,15 +92,16 @@ class ContractWatch:
             return ()
         graph = graph_elements(snapshot(discovery, {}))
         topics = {name: Topic(name, e[0].msgtype, 0, ()) for name, e in publishers.items()}
-        found: list[Breach] = []
+        found: dict[str, Breach] = {}  # by sentence: robots share nodes
         for robot, _, names in names_of_robots(topics):
             watch = self._robots.setdefault(robot, _RobotWatch(self._contract))
             seen = {own: (name, publishers[name]) for name, own in names.items()}
-            told = watch.check(now_s, seen, graph, self._arrivals)
-            found += [b._replace(text=f"{robot}: {b.text}") if robot else b for b in told]
+            for breach in watch.check(now_s, seen, graph, self._arrivals):
+                of = f"{robot}: " if robot and breach.term != "graph" else ""
+                found[of + breach.text] = breach._replace(text=of + breach.text)
         for name in publishers.keys() & self._arrivals.keys():
             self._arrivals[name].end_second()
-        return tuple(found)
+        return tuple(found.values())
 
 
 _Seen: TypeAlias = Mapping[str, tuple[str, Sequence[Endpoint]]]  # recorded name, publishers

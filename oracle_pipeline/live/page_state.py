@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oracle_pipeline.bags.reader import Topic
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.bags.types import typestore
 from oracle_pipeline.live.events import (
@@ -24,6 +25,7 @@ from oracle_pipeline.live.events import (
     WindowAlarm,
 )
 from oracle_pipeline.live.window_scorer import WindowVerdict
+from oracle_pipeline.robots.robot import names_of_robots
 from oracle_pipeline.scoring.output import HEADINGS, cells
 
 MOST_VERDICTS = 720  # an hour of windows
@@ -55,6 +57,7 @@ class PageState:
         self._scans: dict[str, Part] = {}
         self._path: list[list[float]] = []  # x [m], y [m], yaw [rad]
         self._odometry = ""  # the topic that gives the path
+        self._topics: dict[str, Topic] = {}  # of scans and odometry
         self._decoded_ns: dict[str, int] = {}  # by topic, stamp of the newest decoded message
 
     def update(self, event: Event) -> None:
@@ -86,12 +89,18 @@ class PageState:
                 "verdicts": list(self._verdicts),
                 "alarms": list(self._alarms),
                 "notes": list(self._notes),
-                "scans": dict(self._scans),
+                "scans": self._own_scans(),
                 "path": list(self._path),
             }
             return self._changes, {
                 name: part for name, part in parts.items() if self._changed.get(name, 0) > change
             }
+
+    def _own_scans(self) -> dict[str, Part]:
+        """Return the scans of the robot that is drawn; there may be others."""
+        robots = [names for _, _, names in names_of_robots(self._topics)]
+        own = next((names for names in robots if self._odometry in names), self._topics)
+        return {name: self._scans[name] for name in map(printable, own) if name in self._scans}
 
     def _change(self, part: str) -> None:
         self._changes += 1
@@ -107,6 +116,7 @@ class PageState:
             self._change("status")
         if event.msgtype not in (_SCAN, _ODOMETRY):
             return
+        self._topics.setdefault(event.topic, Topic(event.topic, event.msgtype, 0, ()))
         if event.stamp_ns - self._decoded_ns.get(event.topic, -EVERY_NS) < EVERY_NS:
             return
         self._decoded_ns[event.topic] = event.stamp_ns

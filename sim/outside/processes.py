@@ -66,15 +66,10 @@ class Program:
         self._log = log
         with log.open("wb") as sink:
             self._process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=sink,
-                stderr=subprocess.STDOUT,
-                cwd=at,
-                env={**os.environ, **environment},
-                start_new_session=True,
+                command, stdin=subprocess.DEVNULL, stdout=sink, stderr=subprocess.STDOUT, cwd=at,
+                env={**os.environ, **environment}, start_new_session=True,
                 preexec_fn=_end_with_parent,
-            )
+            )  # fmt: skip
 
     @property
     def code(self) -> int | None:

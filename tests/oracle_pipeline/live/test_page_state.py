@@ -52,6 +52,16 @@ def test_the_state_is_plain_json_without_control_characters() -> None:
     assert any(node["label"].startswith(HOSTILE[:10]) for node in parts["graph"]["nodes"])
 
 
+def test_only_scans_of_the_robot_that_is_drawn_are_shown() -> None:
+    state = PageState()
+    for message in messages():
+        for space in ("/robot1", "/robot2"):
+            state.update(replace(message, topic=space + message.topic))
+    shown = state.since(0)[1]["scans"]
+    assert shown
+    assert all(name.startswith("/robot1/") for name in shown)
+
+
 def test_an_infinite_score_is_null() -> None:
     state = PageState()
     state.update(replace(verdict(0), score=math.inf))
