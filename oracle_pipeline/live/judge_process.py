@@ -29,6 +29,7 @@ from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.live.recent import CONTEXT_S, RecentMessages
 from oracle_pipeline.live.window_scorer import WindowScorer, WindowVerdict
 from oracle_pipeline.robots.robot import find_robots
+from oracle_pipeline.scoring.alarms import AlarmWatch
 from oracle_pipeline.scoring.card import ReferenceCard
 
 _END_S = 10.0  # until the process is killed
@@ -63,7 +64,7 @@ class _Window:
 class _JudgedRobot:
     """What the verdicts on the windows of a robot depend on."""
 
-    scorer: WindowScorer
+    alarms: AlarmWatch
     carried: Carried = field(default_factory=dict)  # of the window before
 
 
@@ -228,6 +229,7 @@ def _work(
     inbox = _Inbox(pipe)
     try:
         manager = build_manager(plugins)
+        scorer = WindowScorer(reference, alarms_per_h)
         recent = RecentMessages()
         robots: dict[str, _JudgedRobot] = {}
         while (request := inbox.take()) is not None:
@@ -247,16 +249,13 @@ def _work(
                 start_s = (request.start_ns - request.recording_ns) / _SECOND_NS
                 if not request.timed:
                     run.disturbances.begin(start_s)
+                end_s = (request.end_ns - request.recording_ns) / _SECOND_NS
                 found = []
                 for robot in find_robots(run.bag, reference.roles):
-                    if robot.name not in robots:
-                        robots[robot.name] = _JudgedRobot(WindowScorer(reference, alarms_per_h))
-                    judged = robots[robot.name]
-                    row, judged.carried = extract_window(
-                        run, manager, start_s, judged.carried, robot
-                    )
-                    end_s = (request.end_ns - request.recording_ns) / _SECOND_NS
-                    found.append(replace(judged.scorer.judge(row, end_s), robot=robot.name))
+                    own = robots.setdefault(robot.name, _JudgedRobot(AlarmWatch(scorer.rule)))
+                    row, own.carried = extract_window(run, manager, start_s, own.carried, robot)
+                    verdict = scorer.judge(row, end_s, own.alarms)
+                    found.append(replace(verdict, robot=robot.name))
                 latency_s = time.monotonic() - request.ended_at
                 pipe.send([replace(v, latency_s=latency_s, timed=request.timed) for v in found])
     except OracleError as error:

@@ -40,7 +40,7 @@ class WindowVerdict:
 
 
 class WindowScorer:
-    """Judges windows in order of time.
+    """Judges windows; what came before them is in an `AlarmWatch` by its rule.
 
     Parameters
     ----------
@@ -53,6 +53,8 @@ class WindowScorer:
     ----------
     alarms_per_h : float
         The rate that is promised.
+    rule : AlarmRule
+        For that rate.
 
     Raises
     ------
@@ -72,23 +74,22 @@ class WindowScorer:
         self._scorer = card.scorer
         self._normal = np.sort(normal.scores)
         self.alarms_per_h = alarms_per_h or max(RATE_PER_H, normal.lowest_rate())
-        self._watch = AlarmWatch(normal.rule(self.alarms_per_h))
+        self.rule = normal.rule(self.alarms_per_h)
 
-    def judge(self, row: pd.DataFrame, end_s: float) -> WindowVerdict:
-        """Judge a window by its row of features."""
+    def judge(self, row: pd.DataFrame, end_s: float, alarms: AlarmWatch) -> WindowVerdict:
+        """Judge a robot's next window by its row of features."""
         score = float(self._scorer.window_scores(row)[0])
         higher = len(self._normal) - int(np.searchsorted(self._normal, score))
-        rule = self._watch.rule
-        alarm = self._watch.feed(end_s, score, self._scorer.window_families(row)[0])
+        alarm = alarms.feed(end_s, score, self._scorer.window_families(row)[0])
         return WindowVerdict(
             start_s=float(row[WINDOW_START].iloc[0]),
             end_s=end_s,
             score=score,
             p_value=(1 + higher) / (1 + len(self._normal)),
-            is_usual=score <= rule.allowance,
+            is_usual=score <= self.rule.allowance,
             alarm=alarm is not None,
             evidence=self._evidence(row),
-            alarm_score=rule.allowance + rule.threshold * rule.reach[0],
+            alarm_score=self.rule.allowance + self.rule.threshold * self.rule.reach[0],
         )
 
     def _evidence(self, row: pd.DataFrame) -> tuple[Evidence, ...]:

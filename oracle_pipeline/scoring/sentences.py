@@ -12,7 +12,8 @@ import yaml
 from oracle_pipeline.datasets import SIGNALS, topic_of_signal
 from oracle_pipeline.scoring.verdict import Evidence, Verdict
 
-_ROUNDING, _LONG = 1e-12, 1e7  # below all that features resolve; shown with an exponent from here
+_ROUNDING = 1e-12  # below all that features resolve
+_LONG = 1e7  # values from here on have an exponent
 FAR_OUT = 10.0  # distance of a feature that is reported with a normal verdict too [scales]
 _CLEAR = 0.5  # evidence with a phrase is preferred down to this share of the largest distance
 _AGAINST = " against "  # between two places

@@ -89,11 +89,11 @@ def main() -> None:
     chosen = arguments.sets or list(SETS)
     here = set()
     for folder in dict.fromkeys(SETS[name][0] for name in chosen):
-        count, told = compared(arguments.folder / folder, MANIFEST[folder])
+        count, difference = compared(arguments.folder / folder, MANIFEST[folder])
         if count:
             here.add(folder)
-        for line in told:
-            print(line, file=sys.stderr)
+        if difference:
+            print(difference, file=sys.stderr)
     print(f"| {' | '.join(heads)} |")
     print("| --- " * len(heads) + "|")
     for name in chosen:

@@ -34,19 +34,16 @@ MANIFEST = {
 }  # fmt: skip
 
 
-def compared(folder: Path, files: Files) -> tuple[int, list[str]]:
+def compared(folder: Path, files: Files) -> tuple[int, str]:
     """Return the number of files of a set, and how they differ from those of the figures."""
     count, sha256 = _digest(folder, files.patterns)
     if not count:
-        return 0, [
-            f"{folder} has no file of the set ({', '.join(files.patterns)}); it is left out."
-        ]
+        return 0, f"{folder} has no file of the set ({', '.join(files.patterns)}); it is left out."
     if sha256 == files.sha256:
-        return count, []
+        return count, ""
     known = f"{files.number:,} files with SHA-256 {files.sha256[:12]}"
-    return count, [
-        f"{folder}: the published figures are of {known}; here are {count:,}, with {sha256[:12]}."
-    ]
+    here = f"here are {count:,}, with {sha256[:12]}"
+    return count, f"{folder}: the published figures are of {known}; {here}."
 
 
 def _digest(folder: Path, patterns: tuple[str, ...]) -> tuple[int, str]:
