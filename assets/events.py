@@ -94,12 +94,7 @@ def check_evaluation(
 ) -> dg.AssetCheckEvaluation:
     """Return a check's result for one partition, linked to the checked materialization."""
     return dg.AssetCheckEvaluation(
-        asset_key=spec.asset_key,
-        check_name=spec.name,
-        partition=key,
-        passed=passed,
-        description=description,
-        metadata=metadata,
-        severity=severity,
+        asset_key=spec.asset_key, check_name=spec.name, partition=key, passed=passed,
+        description=description, metadata=metadata, severity=severity,
         target_materialization_data=checked_materialization(target) if target else None,
-    )
+    )  # fmt: skip

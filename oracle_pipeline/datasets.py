@@ -37,6 +37,7 @@ _SEAL = "oracle.seal"  # key in the metadata of a Parquet schema
 MISSING = "missing"  # the column with the reason why a feature is NaN
 
 SIGNALS = "signals."  # prefix of columns that are statistics of the signals of any robot
+MINUS = " minus "  # in the name of a signal that is the difference of two numbers in messages
 
 HARD_NEGATIVE = "benign_"  # prefix of the names of modes with a harmless change
 

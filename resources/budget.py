@@ -40,13 +40,9 @@ class StorageBudget(dg.ConfigurableResource[None]):
             if not store.is_local:
                 return None
             return make_plan(
-                store.path,
-                wanted,
-                budget=budget,
-                reserve=self.reserve_mb * 1_000_000,
-                workers=workers,
-                goals=goals,
-            )
+                store.path, wanted, budget=budget, reserve=self.reserve_mb * 1_000_000,
+                workers=workers, goals=goals,
+            )  # fmt: skip
 
     @contextlib.contextmanager
     def alone(self, store: RunStore) -> Iterator[None]:

@@ -424,14 +424,9 @@ def _endpoints(reader: Any) -> Iterator[Discovered]:
             yield Discovered(handle, alive)
             continue
         yield Discovered(
-            handle,
-            alive,
-            sample.key.bytes,
-            sample.participant_key.bytes,
-            sample.topic_name,
-            sample.type_name,
-            ros_qos(sample.qos),
-        )
+            handle, alive, sample.key.bytes, sample.participant_key.bytes, sample.topic_name,
+            sample.type_name, ros_qos(sample.qos),
+        )  # fmt: skip
 
 
 def _taken(reader: Any) -> Iterator[tuple[Any, int, bool]]:

@@ -92,17 +92,12 @@ class UsualRanges:
         farthest = found[np.argsort(-np.abs(distance[found]), kind="stable")]
         return [
             Deviation(
-                scaler.kept_[j],
-                float(np.clip(distance[j], -CLIP, CLIP)),
-                bool(abs(distance[j]) > CLIP),
-                float(values[j]),
-                float(scaler.center_[j]),
-                float(self.low[j]),
-                float(self.high[j]),
-                units.get(scaler.kept_[j], ""),
+                scaler.kept_[j], float(np.clip(distance[j], -CLIP, CLIP)),
+                bool(abs(distance[j]) > CLIP), float(values[j]), float(scaler.center_[j]),
+                float(self.low[j]), float(self.high[j]), units.get(scaler.kept_[j], ""),
             )
             for j in farthest.tolist()
-        ]
+        ]  # fmt: skip
 
 
 def explain(

@@ -10,6 +10,7 @@ from typing import Self
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.linalg import svd
 from sklearn.covariance import ledoit_wolf_shrinkage
 
 from oracle_pipeline.clustering.scaling import CLIP, ROUNDING_FLOOR, FlooredRobustScaler
@@ -151,7 +152,10 @@ def _shrunk(centred: Floats, most: int) -> tuple[Floats, Floats, float]:
     """Return directions, the variances in them, and the variance in all others."""
     count, columns = centred.shape
     weight = float(ledoit_wolf_shrinkage(centred, assume_centered=True))
-    _, singular, directions = np.linalg.svd(centred, full_matrices=False)
+    try:
+        _, singular, directions = np.linalg.svd(centred, full_matrices=False)
+    except np.linalg.LinAlgError:  # rare, of columns that depend on others
+        _, singular, directions = svd(centred, full_matrices=False, lapack_driver="gesvd")
     variances = singular**2 / count
     kept = min(max(most, LEAST_DIRECTIONS), count - 1, columns)
     base = weight * float(variances.sum()) / columns

@@ -152,24 +152,16 @@ def cluster_and_judge(
     counts = confusion(flagged, runs)
     counts_best = confusion(best, replace(runs, copies=np.ones_like(runs.copies)))
     return ClusteringResult(
-        rows=len(rows),
-        runs=len(runs),
-        clusters=len(np.unique(clusters)),
-        tp=counts.tp,
-        fp=counts.fp,
-        fn=counts.fn,
-        tn=counts.tn,
-        tpr=true_positive_rate(flagged, runs),
+        rows=len(rows), runs=len(runs), clusters=len(np.unique(clusters)), tp=counts.tp,
+        fp=counts.fp, fn=counts.fn, tn=counts.tn, tpr=true_positive_rate(flagged, runs),
         fpr=false_positive_rate(flagged, runs),
-        balanced_accuracy=auc(flagged.astype(np.float64), runs, rng),
-        mcc=counts.mcc,
+        balanced_accuracy=auc(flagged.astype(np.float64), runs, rng), mcc=counts.mcc,
         accuracy=(counts.tp + counts.tn) / len(rows),
         f1=2.0 * counts.tp / max(1, 2 * counts.tp + counts.fp + counts.fn),
         auc=auc(hac_height(tree)[runs.first], runs, rng),
         recall_best_cluster=true_positive_rate(best, runs),
         fpr_best_cluster=false_positive_rate(best, runs),
         balanced_accuracy_best_cluster=auc(best.astype(np.float64), runs, rng),
-        mcc_best_cluster=counts_best.mcc,
-        runs_best_cluster=in_words(counts_best),
+        mcc_best_cluster=counts_best.mcc, runs_best_cluster=in_words(counts_best),
         note=lacking(rows),
-    )
+    )  # fmt: skip

@@ -292,17 +292,12 @@ class _Story:
         attacked = self._onset_s is not None and time_s >= self._onset_s
         self._moments.append(
             Moment(
-                time_s=time_s,
-                robot=_x_y_yaw(self._robot),
-                driven=len(self._path),
-                scan=_xy(self._scan),
-                attacked=_xy(self._attacked),
-                plan=_xy(self._plan),
-                costmap=self._costmap,
-                disc=self._disc() if attacked else None,
+                time_s=time_s, robot=_x_y_yaw(self._robot), driven=len(self._path),
+                scan=_xy(self._scan), attacked=_xy(self._attacked), plan=_xy(self._plan),
+                costmap=self._costmap, disc=self._disc() if attacked else None,
                 recoveries=self._recoveries,
             )
-        )
+        )  # fmt: skip
 
 
 class _Frames:

@@ -138,14 +138,9 @@ def _shown(
     length = max([length_s(verdict), *(at for at, _ in frames)])
     told = first_evidence(verdict)
     return _Shown(
-        verdict,
-        sentences,
-        [(at, png_uri(png)) for at, png in frames],
-        signal_plots(verdict, length),
-        (told and told.window_start_s) or 0.0,
-        length,
-        remarks,
-    )
+        verdict, sentences, [(at, png_uri(png)) for at, png in frames],
+        signal_plots(verdict, length), (told and told.window_start_s) or 0.0, length, remarks,
+    )  # fmt: skip
 
 
 def _sentence(verdict: Verdict, far: float) -> str:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.terminal import join_first
 from oracle_pipeline.datasets import (
+    MINUS,
     MISSING,
     feature_columns,
     field_metadata,
@@ -64,8 +65,10 @@ def given_numbers(df: pd.DataFrame) -> pd.DataFrame:
     """Return which numbers of their messages runs have: a column of truth values for each.
 
     Those in sequences of messages, such as detected objects, are left out: these may be empty.
+    Differences of two numbers are, too.
     """
-    columns = [column for column in signal_columns(df) if column.endswith(_PRESENT)]
+    given = [column for column in signal_columns(df) if column.endswith(_PRESENT)]
+    columns = [column for column in given if MINUS not in column]
     may_be_empty = sequences(column.removesuffix(_PRESENT) for column in columns)
     columns = [column for column in columns if not column.startswith(may_be_empty)]
     return df[columns].notna().rename(columns=lambda column: column.removesuffix(_PRESENT))

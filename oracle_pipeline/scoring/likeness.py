@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from oracle_pipeline.bags.terminal import join_first
-from oracle_pipeline.datasets import SIGNALS, topic_of_signal
+from oracle_pipeline.datasets import MINUS, SIGNALS, topic_of_signal
 from oracle_pipeline.robots.robot import SHARED_TYPES
 from oracle_pipeline.scoring.contract import Contract, Observation
 
@@ -90,7 +90,7 @@ def _numbers(columns: Iterable[str]) -> Mapping[str, set[str]]:
     """Return the numbers in the messages of each topic, from the columns of signals."""
     found: dict[str, set[str]] = defaultdict(set)
     for column in columns:
-        if topic := topic_of_signal(column):
+        if (topic := topic_of_signal(column)) and MINUS not in column:
             found[topic].add(column.removeprefix(f"{SIGNALS}{topic}/").rpartition(".")[0])
     return found
 

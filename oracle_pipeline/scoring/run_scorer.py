@@ -21,7 +21,7 @@ from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 
 from oracle_pipeline.clustering.scaling import CLIP
-from oracle_pipeline.datasets import topic_of_signal
+from oracle_pipeline.datasets import MINUS, topic_of_signal
 from oracle_pipeline.detectors import BeyondRange, Detector, LargestGroup, SignalScaler, pipeline
 from oracle_pipeline.features.signals.statistics import OF_WINDOW
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
@@ -88,7 +88,8 @@ class Design:
         """Return the columns of a level."""
         if level in (PLAIN, *BEYOND):
             some = OF_WINDOW if level == "farthest" else PLAIN_STATISTICS  # extremes are chance
-            return [c for c in self.run_signals if c.rpartition(".")[2] in some]
+            of = [c for c in self.run_signals if c.rpartition(".")[2] in some]
+            return [c for c in of if MINUS not in c] if level == PLAIN else of
         if level in OF_SIGNALS:
             return self.window_signals if level in OF_WINDOWS else self.run_signals
         return self.window_features if level in OF_WINDOWS else self.run_features

@@ -98,14 +98,9 @@ class AirSpace:
         while self._stepped_ns + STEP_NS <= time_ns:
             self._stepped_ns += STEP_NS
             _step(
-                self._states,
-                self._leg,
-                self._routes,
-                self._last,
-                self._start_s,
-                self._stepped_ns / SECOND,
-                self._wind,
-            )
+                self._states, self._leg, self._routes, self._last, self._start_s,
+                self._stepped_ns / SECOND, self._wind,
+            )  # fmt: skip
 
     def state(self, flight: int) -> AircraftState | None:
         """Return the state of the n-th flight now; None while it is not in the air."""

@@ -26,14 +26,9 @@ class AtcRun(TimedRun):
     def __init__(self, recipe: AtcRecipe, folder: Path) -> None:
         self._air = AirSpace(recipe.flights, recipe.session.wind)
         super().__init__(
-            recipe,
-            folder,
-            self._air.advance_to,
-            duration_s=recipe.duration_s,
-            settling_s=SETTLING_S,
-            session=recipe.session.index,
-            world="airspace",
-        )
+            recipe, folder, self._air.advance_to, duration_s=recipe.duration_s,
+            settling_s=SETTLING_S, session=recipe.session.index, world="airspace",
+        )  # fmt: skip
         latency_ns = round(recipe.session.latency_ms * MILLISECOND)
         self._add_sensors()
         self.add_mode(NODE, latency_ns)

@@ -86,15 +86,10 @@ def mutate(
         program = _retargeted(program, _by_name(topics), allow_actuation=allow_actuation)
         known = {name: v for name, v in attack.parameters.items() if name in program.parameters}
         summary = mutate_bag(
-            bag_in,
-            bag_out,
-            program,
-            attack.seed if seed is None else seed,
-            attack.onset_s if at_s is None else at_s,
-            {**known, **typed(program, words)},
-            functools.partial(progress_bar, unit=" messages", leave=False),
-            attack.goals_s,
-        )
+            bag_in, bag_out, program, attack.seed if seed is None else seed,
+            attack.onset_s if at_s is None else at_s, {**known, **typed(program, words)},
+            functools.partial(progress_bar, unit=" messages", leave=False), attack.goals_s,
+        )  # fmt: skip
     for note in summary.notes:
         click.echo(note, err=True)
     click.echo(

@@ -278,15 +278,10 @@ class Execution:
 
     def _step(self, stamp_ns: int, index: int, names: dict[str, Any]) -> Step:
         return Step(
-            stamp_ns=stamp_ns,
-            received=self._received,
-            index=index,
-            draws=self._draws,
-            env={**self._known, **names, "now": stamp_ns / SECOND},
-            header=None,
-            recent=self._recent,
-            memory=self._memory,
-        )
+            stamp_ns=stamp_ns, received=self._received, index=index, draws=self._draws,
+            env={**self._known, **names, "now": stamp_ns / SECOND}, header=None,
+            recent=self._recent, memory=self._memory,
+        )  # fmt: skip
 
     @_QUIETLY
     def constant(self, term: Term) -> float:

@@ -127,14 +127,10 @@ def compile_expression(text: str, scope: Scope, *, elements: int = 1) -> Express
     compiler = _Compiler(text, scope, scope.locals, vectors, elements)
     node = compiler.visit(parse(text))
     return Expression(
-        text=text.strip(),
-        type=node.type,
-        vector=node.vector,
-        cost=node.cost,
-        names=frozenset(compiler.used),
-        operations=MAX_OPERATIONS - compiler.budget[0],
+        text=text.strip(), type=node.type, vector=node.vector, cost=node.cost,
+        names=frozenset(compiler.used), operations=MAX_OPERATIONS - compiler.budget[0],
         _run=node.run,
-    )
+    )  # fmt: skip
 
 
 class _Compiler(ast.NodeVisitor):

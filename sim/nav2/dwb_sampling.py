@@ -91,21 +91,14 @@ def twists(parameters: Parameters, velocity: tuple[float, float]) -> tuple[Float
     """Return the forward and the turning speeds to try; every pair but (0, 0) is a twist."""
     time = parameters.sim_time
     forward = samples(
-        velocity[0],
-        0.0,
-        parameters.max_vel_x,
-        parameters.acc_lim_x * time,
-        parameters.decel_lim_x * time,
-        parameters.vx_samples,
-    )
+        velocity[0], 0.0, parameters.max_vel_x, parameters.acc_lim_x * time,
+        parameters.decel_lim_x * time, parameters.vx_samples,
+    )  # fmt: skip
     turning = samples(
-        velocity[1],
-        -parameters.max_vel_theta,
-        parameters.max_vel_theta,
-        parameters.acc_lim_theta * time,
-        parameters.decel_lim_theta * time,
+        velocity[1], -parameters.max_vel_theta, parameters.max_vel_theta,
+        parameters.acc_lim_theta * time, parameters.decel_lim_theta * time,
         parameters.vtheta_samples,
-    )
+    )  # fmt: skip
     return forward, turning
 
 

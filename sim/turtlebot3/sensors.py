@@ -263,10 +263,6 @@ class RangePlugin(Node):
 
 def _range_message(time_ns: int, measured: float) -> object:
     return _Range(
-        header(time_ns, frames.RANGE_ELLA.child),
-        INFRARED,
-        INFRARED_VIEW,
-        INFRARED_MIN_M,
-        INFRARED_MAX_M,
-        measured,
-    )
+        header(time_ns, frames.RANGE_ELLA.child), INFRARED, INFRARED_VIEW, INFRARED_MIN_M,
+        INFRARED_MAX_M, measured,
+    )  # fmt: skip

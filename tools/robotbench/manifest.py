@@ -23,6 +23,8 @@ MANIFEST = {
         "b9ca896c4dd98780f695808d5d040d9051bdfcd73a5f70cac8e5cac2a0af52d6"),
     "kairos": Files(("*_plan*/*.csv",), 16,
         "fd91c22173885746df42c75363d251342b29cc3cf5ed0bd41a17a496367e401c"),
+    "humanoid": Files(("meta/*", "data/*/*.parquet"), 104,
+        "3bd0f93ce07f4a6a0cdab479e463d9f0d3b5196d8121d0cc6e1da175c37a4768"),
     "jackal": Files(("*/*/*.json",), 299,
         "83ad4c4fd75da5ef811ddf2f5851a7c17b1a4e52560de18469b1a6acd0b07c1a"),
     "quadcopter": Files(("Hover/*/*.BIN", "Straight line/*/*.BIN"), 30,

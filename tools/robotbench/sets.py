@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +13,7 @@ import pandas as pd
 from oracle_pipeline.logs.dataflash import read_dataflash
 from oracle_pipeline.logs.log import Log, LogTopic
 from oracle_pipeline.logs.recording import write_bag
-from tools.robotbench.faults import FAULTS, Tables
+from tools.robotbench.faults import FAULTS, OF_JOINTS, Positions, Tables
 
 # Length of the parts of long recordings.
 _PART_S = {"kairos": 8.0, "faults": 15.0, "arm": 15.0, "flight": 15.0, "aeroplane": 15.0}
@@ -77,6 +78,24 @@ def faulty_kairos(fault: Callable[[Tables], None]) -> Callable[[Path, Path], Ite
                 for name, table in content.items():
                     table.to_csv(altered / tables[name].name, index=False)
                 yield Case(altered, drive.name, abnormal=True, original=part)
+
+    return load
+
+
+def humanoid(fault: Callable[[Positions], Positions]) -> Callable[[Path, Path], Iterator[Case]]:
+    """Return the loader of the same tasks of a humanoid's arms, with and without a fault."""
+
+    def load(source: Path, work: Path) -> Iterator[Case]:
+        shutil.copytree(source, work, dirs_exist_ok=True)
+        for number, file in enumerate(sorted(work.glob("data/*/*.parquet"))):
+            episode = source / file.stem
+            yield Case(episode, file.stem, abnormal=False)
+            if number % 2:
+                table = pd.read_parquet(file)
+                positions = fault(np.stack(table["observation.state"].to_list()))
+                table["observation.state"] = list(positions)
+                table.to_parquet(file)
+                yield Case(work / file.stem, file.stem, abnormal=True, original=episode)
 
     return load
 
@@ -243,6 +262,7 @@ SETS: Mapping[str, tuple[str, str, Callable[[Path, Path], Iterator[Case]]]] = {
     "arm": ("arm", "arm, motors", arm),
     "kairos": ("kairos", "wheeled", kairos),
     **{name: ("kairos", "wheeled", faulty_kairos(fault)) for name, fault in FAULTS.items()},
+    **{name: ("humanoid", "humanoid", humanoid(fault)) for name, fault in OF_JOINTS.items()},
     "jackal_straight": ("jackal", "wheeled", jackal("E2", "N4")),
     "jackal_cross": ("jackal", "wheeled", jackal("E3", "N5")),
     "jackal_unsafe": ("jackal", "wheeled", jackal("E3", "N6")),

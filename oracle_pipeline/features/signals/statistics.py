@@ -10,6 +10,7 @@ from oracle_pipeline.datasets import SIGNALS
 from oracle_pipeline.features.engine.plugin import Feature
 from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.signals.collector import Floats, Signals
+from oracle_pipeline.features.signals.control_errors import control_errors
 from oracle_pipeline.features.signals.units import period_of
 
 FEWEST = 4  # numbers of a signal that has more than a level
@@ -48,6 +49,7 @@ class SignalTable:
 
     def __init__(self, signals: list[Signals]) -> None:
         prepared = [_as_they_are(each) for each in signals]
+        prepared += control_errors(prepared)
         self._signals = [each for each, _ in prepared]
         self._periods = [periods for _, periods in prepared]
         features = [

@@ -33,6 +33,16 @@ def test_more_recordings_show_more_of_what_belongs_together(directions, stands_o
     assert (distances[200] > distances[:200].max()) is np.bool_(stands_out)
 
 
+def test_columns_on_which_the_faster_driver_fails_are_learned_by_another(monkeypatch):
+    def fails(*_, **__):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    rows = np.random.default_rng(0).normal(size=(20, 9))
+    expected = LargestGroup().fit(rows).score_samples(rows)
+    monkeypatch.setattr(np.linalg, "svd", fails)
+    np.testing.assert_allclose(LargestGroup().fit(rows).score_samples(rows), expected)
+
+
 def test_scale_is_not_that_of_the_unchanging_majority():
     column = np.array([0.0] * 15 + [1.0] * 5)
     scaler = SignalScaler({}).fit(pd.DataFrame({"a": column}))

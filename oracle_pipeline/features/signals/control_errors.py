@@ -1,0 +1,111 @@
+"""Control errors: what follows a command, minus the command, as signals of their own.
+
+A stuck joint, an offset of an encoder or a late answer changes little in the numbers themselves,
+which differ with the task, and much in how they follow their commands. A command is known by its
+name, such as ``/cmd_vel``, ``/action`` or ``desired.positions[0]``. What follows it has the same
+name apart from such words, or a longer one with the same end.
+"""
+
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from oracle_pipeline.datasets import MINUS
+from oracle_pipeline.features.signals.collector import Floats, Signals
+
+MOST_FOLLOWERS = 4  # of a command; more share only a common name, such as `data`
+_OF_COMMANDS = {
+    "action", "cmd", "command", "commanded", "commands", "demand", "demanded", "des", "desired",
+    "ref", "reference", "setpoint", "setpoints", "sp", "tar", "target",
+}  # fmt: skip
+_OF_FOLLOWERS = {
+    "act", "actual", "current", "estimate", "estimated", "feedback", "measured", "observation",
+    "odom", "state",
+}  # fmt: skip
+_NEITHER = {"err", "error", "length"}  # errors that are published, and sizes
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
+
+Words: TypeAlias = tuple[str, ...]
+Prepared: TypeAlias = tuple[Signals, Floats]
+
+
+class _Number(NamedTuple):
+    """One of the signals, by the words of its names that tell neither command nor follower."""
+
+    signals: Signals
+    column: int
+    period: float  # of an angle, otherwise 0
+    is_command: bool
+    topic: Words
+    path: Words  # those of the topic, if the field is just a command
+
+    @property
+    def unit(self) -> str:
+        """Return the unit, empty if it is unknown."""
+        return self.signals.units[self.column]
+
+
+def control_errors(prepared: Sequence[Prepared]) -> list[Prepared]:
+    """Return what follows commands minus the command that was the last one at each time.
+
+    Parameters
+    ----------
+    prepared : sequence of (Signals, ndarray)
+        The signals of one recording, and the period of each that is an angle, otherwise 0.
+
+    Examples
+    --------
+    >>> times_ns = np.arange(3)
+    >>> action = Signals("/action", ("elbow",), ("",), times_ns, np.array([[0.0], [1.0], [2.0]]))
+    >>> state = Signals("/state", ("elbow",), ("",), times_ns, np.array([[0.0], [0.5], [1.5]]))
+    >>> ((error, _),) = control_errors([(action, np.zeros(1)), (state, np.zeros(1))])
+    >>> error.topic, error.names, error.values.ravel().tolist()
+    ('/state', ('elbow minus action.elbow',), [0.0, -0.5, -0.5])
+    """
+    numbers = [number for each in prepared for number in _numbers(*each)]
+    followers: dict[Words, list[_Number]] = defaultdict(list)
+    for number in numbers:
+        for start in range(max(1, len(number.path) - 1)) if not number.is_command else ():
+            followers[number.path[start:]].append(number)
+    pairs = [(c, f) for c in numbers if c.is_command for f in _following(c, followers)]
+    return [_error(c, f) for c, f in pairs if c.signals.times_ns[0] <= f.signals.times_ns[-1]]
+
+
+def _numbers(signals: Signals, periods: Floats) -> Iterator[_Number]:
+    if signals.names == ("period",) or not len(signals.times_ns):
+        return
+    of_topic, topic = _words(signals.topic.replace("/_action/", "/"))
+    for column, name in enumerate(signals.names):
+        of_field, path = _words(name)
+        is_command, period = of_topic or of_field, float(periods[column])
+        if _NEITHER.isdisjoint(path):
+            yield _Number(signals, column, period, is_command, topic, path or topic)
+
+
+def _words(name: str) -> tuple[bool, Words]:
+    """Return whether a name is that of a command, and its other words."""
+    words = [word.lower() for word in _WORD.findall(name)]
+    others = tuple(word for word in words if word not in _OF_COMMANDS | _OF_FOLLOWERS)
+    return not _OF_COMMANDS.isdisjoint(words), others
+
+
+def _following(command: _Number, followers: Mapping[Words, list[_Number]]) -> list[_Number]:
+    """Return what follows a command: of topics with a like name, if there are any."""
+    alike = followers.get(command.path, ())
+    found = [each for each in alike if len({command.unit, each.unit} - {""}) < 2]
+    near = [each for each in found if each.topic == command.topic] or found
+    return near if len(near) <= MOST_FOLLOWERS else []
+
+
+def _error(command: _Number, follower: _Number) -> Prepared:
+    told, own = command.signals, follower.signals
+    last = np.searchsorted(told.times_ns, own.times_ns, side="right") - 1
+    known = last >= 0
+    errors = own.values[known, follower.column] - told.values[last[known], command.column]
+    named = f"{told.topic.strip('/').replace('/', '.')}.{told.names[command.column]}"
+    names = (f"{own.names[follower.column]}{MINUS}{named}",)
+    signals = Signals(own.topic, names, (follower.unit,), own.times_ns[known], errors[:, None])
+    return signals, np.array([follower.period])
