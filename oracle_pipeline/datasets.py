@@ -38,6 +38,7 @@ MISSING = "missing"  # the column with the reason why a feature is NaN
 
 SIGNALS = "signals."  # prefix of columns that are statistics of the signals of any robot
 MINUS = " minus "  # in the name of a signal that is the difference of two numbers in messages
+LAG = ".lag"  # ends the name of how late the first of the two is
 
 HARD_NEGATIVE = "benign_"  # prefix of the names of modes with a harmless change
 

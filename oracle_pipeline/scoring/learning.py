@@ -40,6 +40,7 @@ LONG = 10  # windows of a recording; in a shorter one, signals of the whole show
 FEWEST_IN_RANGE = 10  # recordings; the range of fewer says little of one signal alone
 COMMON_SIGNAL = 0.8  # least share of the rows in which a signal is, to be compared
 OF_SETTING = 0.2  # a signal that changes less in a recording than this, of what these differ by
+MOST_ERROR = 2.0  # spread of what follows a command, minus it, beside its own spread
 FEWEST_BROKEN, COMMONLY_BROKEN = 2, 0.1  # recordings, and their share, with a term that is unsteady
 WINDOWS_UNKNOWN = (
     "The reference has no features of windows, so only whole recordings are compared: a short "
@@ -199,13 +200,18 @@ def _of_detector(ours: run_scorer.Design, name: str) -> run_scorer.Design:
 
 
 def common_signals(table: pd.DataFrame, settings: Collection[str]) -> tuple[str, ...]:
-    """Return the columns of signals that nearly all rows have, without the levels of settings."""
+    """Return the columns of signals that nearly all rows have, and that can tell something.
+
+    Those are not the levels of settings, nor differences from commands that nothing follows.
+    """
     columns = datasets.signal_columns(table)
     given = np.isfinite(table[columns].to_numpy(dtype=np.float64)).mean(axis=0)
     return tuple(
         column
         for column, share in zip(columns, given, strict=True)
-        if share >= COMMON_SIGNAL and not _is_level_of(settings, column)
+        if share >= COMMON_SIGNAL
+        and not _is_level_of(settings, column)
+        and not (datasets.MINUS in column and _follows_nothing(table, column))
     )
 
 
@@ -220,11 +226,25 @@ def settings_among(runs: pd.DataFrame) -> set[str]:
     for column in datasets.signal_columns(runs):
         signal, _, statistic = column.rpartition(".")
         spread = f"{signal}.std"
-        if statistic == "mean" and spread in runs and not signal.endswith("/period"):
+        if (
+            statistic == "mean"
+            and spread in runs
+            and not signal.endswith(("/period", datasets.LAG))
+        ):
             within, between = np.median(np.nan_to_num(runs[spread])), runs[column].std(ddof=0)
             if within <= OF_SETTING * between and np.nan_to_num(runs[column]).any():
                 found.add(signal)
     return found
+
+
+def _follows_nothing(table: pd.DataFrame, difference: str) -> bool:
+    """Return whether a difference from a command varies more than the number itself."""
+    names = (
+        difference.rpartition(".")[0].removesuffix(datasets.LAG),
+        difference.partition(datasets.MINUS)[0],
+    )
+    error, number = (np.median(np.nan_to_num(table[f"{name}.std"])) for name in names)
+    return bool(error > MOST_ERROR * number)
 
 
 def _is_level_of(settings: Collection[str], column: str) -> bool:

@@ -300,11 +300,7 @@ class SecondaryRadar(_Radar):
             who = self._transponders[plot.flight]
             self._publisher.publish(
                 _SecondaryReply(
-                    header(plot.time_ns, RADAR_FRAME),
-                    plot.slant_m,
-                    plot.azimuth_deg,
-                    who.icao24,
-                    who.squawk,
-                    _quantized(plot.altitude_m),
+                    header(plot.time_ns, RADAR_FRAME), plot.slant_m, plot.azimuth_deg, who.icao24,
+                    who.squawk, _quantized(plot.altitude_m),
                 )
-            )
+            )  # fmt: skip

@@ -136,14 +136,11 @@ def campaign(options: Mapping[str, Any]) -> campaigns.Campaign:
     """Return the campaign that the options of ``campaign_options`` describe."""
     names = {item.name for item in fields(campaigns.Options)}
     return campaigns.Campaign(
-        seed=options["seed"],
-        goals_per_run=options["goals"],
-        storage=options["storage"],
+        seed=options["seed"], goals_per_run=options["goals"], storage=options["storage"],
         options=campaigns.Options(**{name: options[name] for name in names}),
-        sessions=options["sessions"],
-        session=options.get("session"),
+        sessions=options["sessions"], session=options.get("session"),
         noise_per_run=options["noise_per_run"],
-    )
+    )  # fmt: skip
 
 
 def make_runs(make: "Callable[[Job], Manifest]", jobs: "Sequence[Job]", workers: int) -> None:

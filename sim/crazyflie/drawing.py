@@ -57,22 +57,15 @@ def _draw_session(seed: int, index: int) -> CrazyflieSession:
     rng = generator(seed, SESSION, index)
     speed, towards = rng.uniform(0.0, 0.5), rng.uniform(0.0, 2.0 * math.pi)
     craft = Craft(
-        mass=rng.uniform(1.12, 1.18),
-        centre=tuple(rng.uniform(-5e-4, 5e-4, 2).tolist()),
+        mass=rng.uniform(1.12, 1.18), centre=tuple(rng.uniform(-5e-4, 5e-4, 2).tolist()),
         thrust=tuple(rng.uniform(0.985, 1.015, 4).tolist()),
-        imbalance=tuple(rng.uniform(0.0, 4e-9, 4).tolist()),
-        charge=rng.uniform(0.6, 1.0),
+        imbalance=tuple(rng.uniform(0.0, 4e-9, 4).tolist()), charge=rng.uniform(0.6, 1.0),
         resistance=rng.uniform(0.08, 0.13),
-        wind=(speed * math.cos(towards), speed * math.sin(towards)),
-        gust=rng.uniform(0.05, 0.2),
+        wind=(speed * math.cos(towards), speed * math.sin(towards)), gust=rng.uniform(0.05, 0.2),
         unsteady=rng.uniform(0.02, 0.04),
-    )
+    )  # fmt: skip
     return CrazyflieSession(
-        index=index,
-        craft=craft,
-        gains=rng.uniform(0.95, 1.05),
-        latency_ms=rng.uniform(2.0, 6.0),
-        tracking_m=rng.uniform(2e-4, 8e-4),
-        tracking_rad=rng.uniform(2e-3, 8e-3),
+        index=index, craft=craft, gains=rng.uniform(0.95, 1.05), latency_ms=rng.uniform(2.0, 6.0),
+        tracking_m=rng.uniform(2e-4, 8e-4), tracking_rad=rng.uniform(2e-3, 8e-3),
         lost=rng.uniform(0.0, 0.01),
-    )
+    )  # fmt: skip

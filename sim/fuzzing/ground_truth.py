@@ -29,13 +29,9 @@ class GroundTruth:
     def message(self) -> Any:
         """Return ``oracle_msgs/msg/GroundTruth``."""
         return _GroundTruth(
-            time_message(self.stamp_ns),
-            self.topic,
-            self.index,
-            self.operation,
-            self.magnitude,
+            time_message(self.stamp_ns), self.topic, self.index, self.operation, self.magnitude,
             self.detail,
-        )
+        )  # fmt: skip
 
 
 def in_bins(changes: Iterable[tuple[int, float]], start_ns: int) -> tuple[Change, ...]:

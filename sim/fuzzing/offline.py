@@ -108,15 +108,11 @@ def mutate_bag(
                 run.take(message)
             run.finish()
     return Summary(
-        onset_s=(onset_ns - reader.start_ns) / SECOND,
-        received=run.received,
-        touched=run.touched,
+        onset_s=(onset_ns - reader.start_ns) / SECOND, received=run.received, touched=run.touched,
         published=sum(writer.counts[lane.output_topic] for lane in program.lanes),
-        changes=in_bins(run.changes, reader.start_ns),
-        topics=writer.topics,
-        content_hash=writer.content_hash,
-        notes=(*reader.losses, *reader.notes),
-    )
+        changes=in_bins(run.changes, reader.start_ns), topics=writer.topics,
+        content_hash=writer.content_hash, notes=(*reader.losses, *reader.notes),
+    )  # fmt: skip
 
 
 class _Run:

@@ -20,16 +20,12 @@ def profile(
 ) -> Qos:
     """Return a keep-last profile; ``latched`` is durability transient local."""
     return Qos(
-        history=QosHistory.KEEP_LAST,
-        depth=depth,
+        history=QosHistory.KEEP_LAST, depth=depth,
         reliability=QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
         durability=QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
-        deadline=_INFINITE,
-        lifespan=lifespan,
-        liveliness=QosLiveliness.AUTOMATIC,
-        liveliness_lease_duration=_INFINITE,
-        avoid_ros_namespace_conventions=False,
-    )
+        deadline=_INFINITE, lifespan=lifespan, liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=_INFINITE, avoid_ros_namespace_conventions=False,
+    )  # fmt: skip
 
 
 RELIABLE = profile(1)  # rclcpp::QoS(1)

@@ -109,21 +109,15 @@ def bring_up(
     MapServer(domain, world_map)
     Amcl(domain, listening("amcl", transforms), rng=generator("/amcl"), latency_ns=latency_ns)
     local_costmap = LocalCostmap(
-        domain,
-        listening("local_costmap", transforms),
-        OBSTACLE_SOURCES,
-        rng=generator("/local_costmap/local_costmap"),
-        latency_ns=latency_ns,
+        domain, listening("local_costmap", transforms), OBSTACLE_SOURCES,
+        rng=generator("/local_costmap/local_costmap"), latency_ns=latency_ns,
         inflation=values.local_inflation,
-    )
+    )  # fmt: skip
     global_costmap = GlobalCostmap(
-        domain,
-        listening("global_costmap", transforms),
-        OBSTACLE_SOURCES,
-        rng=generator("/global_costmap/global_costmap"),
-        latency_ns=latency_ns,
+        domain, listening("global_costmap", transforms), OBSTACLE_SOURCES,
+        rng=generator("/global_costmap/global_costmap"), latency_ns=latency_ns,
         inflation=values.global_inflation,
-    )
+    )  # fmt: skip
     dwb = values.dwb
     ControllerServer(
         domain,

@@ -43,14 +43,9 @@ class VoxelGrids:
     def __init__(self, grid: Costmap2D) -> None:
         height, width = grid.costs.shape
         message = _VoxelGrid(
-            header(0, grid.frame),
-            np.zeros(height * width, np.uint32),
-            _Point32(0.0, 0.0, 0.0),
-            _Vector3(grid.resolution, grid.resolution, _LEVEL_HEIGHT),
-            width,
-            height,
-            _LEVELS,
-        )
+            header(0, grid.frame), np.zeros(height * width, np.uint32), _Point32(0.0, 0.0, 0.0),
+            _Vector3(grid.resolution, grid.resolution, _LEVEL_HEIGHT), width, height, _LEVELS,
+        )  # fmt: skip
         self._template = Template(message, VOXELS, (*STAMP, "data", "origin"))
 
     def data(self, time_ns: int, grid: Costmap2D, seen: Costs) -> bytes:

@@ -54,14 +54,11 @@ def read_testbed(file: Path) -> Testbed:
             f"{file}: expected one of {', '.join(sorted(known))} in braces, found {unknown[0]}."
         )
     return Testbed(
-        scenarios=file.parent / system["scenarios"],
-        experiments=tuple(system["experiments"]),
-        recipe=OutsideRecipe,
-        draw=functools.partial(_draw, system),
-        bring_up=functools.partial(_bring_up, file.parent),
-        made_by="sim.outside.run",
+        scenarios=file.parent / system["scenarios"], experiments=tuple(system["experiments"]),
+        recipe=OutsideRecipe, draw=functools.partial(_draw, system),
+        bring_up=functools.partial(_bring_up, file.parent), made_by="sim.outside.run",
         deterministic=False,
-    )
+    )  # fmt: skip
 
 
 def filled(value: Any, values: Mapping[str, Any]) -> Any:

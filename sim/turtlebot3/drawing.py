@@ -192,14 +192,11 @@ def draw(
     return TurtleBot3Recipe(
         **mode.recipe_fields(run, campaign, _drawn(block, campaign.options), parameters),
         conditions=Conditions(**mode.conditions),
-        session=draw_session(campaign.seed, campaign.session_of(run)),
-        arena=block.arena,
-        start=block.start,
-        goals=block.goals,
-        fake_object=block.fake_object,
+        session=draw_session(campaign.seed, campaign.session_of(run)), arena=block.arena,
+        start=block.start, goals=block.goals, fake_object=block.fake_object,
         timeout_s=campaign.timeout_s,
         options=replace(campaign.options, nav2=_nav2(block.arena, campaign.options)),
-    )
+    )  # fmt: skip
 
 
 def _drawn(block: Block, options: Options) -> dict[str, float]:

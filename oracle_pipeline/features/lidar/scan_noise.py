@@ -159,13 +159,9 @@ def _noise(setup: ScannerSetup, topic: str, scans: RecordedScans) -> _Noise:
     smooth, smooth_short, rough = shares.T
     still, flicker = _standing(setup, topic, scans)
     return _Noise(
-        fp.Series(scans.times_s, smooth),
-        fp.Series(scans.times_s, smooth_short),
-        fp.Series(scans.times_s, rough),
-        fp.Series(scans.times_s, repeated),
-        still,
-        flicker,
-    )
+        fp.Series(scans.times_s, smooth), fp.Series(scans.times_s, smooth_short),
+        fp.Series(scans.times_s, rough), fp.Series(scans.times_s, repeated), still, flicker,
+    )  # fmt: skip
 
 
 def _repeated(ranges: Floats, seen: set[bytes]) -> Floats:

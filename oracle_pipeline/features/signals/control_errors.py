@@ -1,29 +1,34 @@
 """Control errors: what follows a command, minus the command, as signals of their own.
 
 A stuck joint, an offset of an encoder or a late answer changes little in the numbers themselves,
-which differ with the task, and much in how they follow their commands. A command is known by its
-name, such as ``/cmd_vel``, ``/action`` or ``desired.positions[0]``. What follows it has the same
-name apart from such words, or a longer one with the same end.
+which differ with the task, and much in how they follow their commands. The lag is a signal, too. A
+command is known by its name, such as ``/cmd_vel``, ``/action`` or ``desired.positions[0]``. What
+follows it has the same name apart from such words, or a longer or shorter one with the same end.
 """
 
+import math
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from oracle_pipeline.datasets import MINUS
+from oracle_pipeline.datasets import LAG, MINUS
 from oracle_pipeline.features.signals.collector import Floats, Signals
 
+FEWEST = 10  # numbers with a lag
+STEADY = 1e-6  # share of the squared rates of a command: one that changes less tells no lag
 MOST_FOLLOWERS = 4  # of a command; more share only a common name, such as `data`
 _OF_COMMANDS = {
-    "action", "cmd", "command", "commanded", "commands", "demand", "demanded", "des", "desired",
-    "ref", "reference", "setpoint", "setpoints", "sp", "tar", "target",
+    "action", "cmd", "cmds", "command", "commanded", "commands", "d", "demand", "demanded", "des",
+    "desired", "leader", "master", "ref", "reference", "setpoint", "setpoints", "sp", "tar",
+    "target", "tgt",
 }  # fmt: skip
 _OF_FOLLOWERS = {
-    "act", "actual", "current", "estimate", "estimated", "feedback", "measured", "observation",
-    "odom", "state",
+    "act", "actual", "current", "est", "estimate", "estimated", "fb", "feedback", "follower",
+    "meas", "measured", "observation", "odom", "puppet", "state", "states",
 }  # fmt: skip
 _NEITHER = {"err", "error", "length"}  # errors that are published, and sizes
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
@@ -68,10 +73,11 @@ def control_errors(prepared: Sequence[Prepared]) -> list[Prepared]:
     numbers = [number for each in prepared for number in _numbers(*each)]
     followers: dict[Words, list[_Number]] = defaultdict(list)
     for number in numbers:
-        for start in range(max(1, len(number.path) - 1)) if not number.is_command else ():
-            followers[number.path[start:]].append(number)
+        for end in _ends(number.path) if not number.is_command else ():
+            followers[end].append(number)
     pairs = [(c, f) for c in numbers if c.is_command for f in _following(c, followers)]
-    return [_error(c, f) for c, f in pairs if c.signals.times_ns[0] <= f.signals.times_ns[-1]]
+    some = [(c, f) for c, f in pairs if c.signals.times_ns[0] <= f.signals.times_ns[-1]]
+    return [error for c, f in some for error in _errors(c, f)]
 
 
 def _numbers(signals: Signals, periods: Floats) -> Iterator[_Number]:
@@ -92,20 +98,46 @@ def _words(name: str) -> tuple[bool, Words]:
     return not _OF_COMMANDS.isdisjoint(words), others
 
 
+def _ends(path: Words) -> list[Words]:
+    """Return a path, and its ends of at least two words."""
+    return [path, *(path[start:] for start in range(1, len(path) - 1))]
+
+
 def _following(command: _Number, followers: Mapping[Words, list[_Number]]) -> list[_Number]:
     """Return what follows a command: of topics with a like name, if there are any."""
-    alike = followers.get(command.path, ())
+    alike = [
+        *followers.get(command.path, ()),
+        *(f for end in _ends(command.path)[1:] for f in followers.get(end, ()) if f.path == end),
+    ]
     found = [each for each in alike if len({command.unit, each.unit} - {""}) < 2]
     near = [each for each in found if each.topic == command.topic] or found
     return near if len(near) <= MOST_FOLLOWERS else []
 
 
-def _error(command: _Number, follower: _Number) -> Prepared:
+def _errors(command: _Number, follower: _Number) -> Iterator[Prepared]:
+    """Yield the errors, and one lag [s] of the recording, unless the command does not change."""
     told, own = command.signals, follower.signals
     last = np.searchsorted(told.times_ns, own.times_ns, side="right") - 1
     known = last >= 0
-    errors = own.values[known, follower.column] - told.values[last[known], command.column]
+    times_ns, commands = own.times_ns[known], told.values[:, command.column]
+    errors = own.values[known, follower.column] - commands[last[known]]
     named = f"{told.topic.strip('/').replace('/', '.')}.{told.names[command.column]}"
-    names = (f"{own.names[follower.column]}{MINUS}{named}",)
-    signals = Signals(own.topic, names, (follower.unit,), own.times_ns[known], errors[:, None])
-    return signals, np.array([follower.period])
+    name = f"{own.names[follower.column]}{MINUS}{named}"
+    signals = Signals(own.topic, (name,), (follower.unit,), times_ns, errors[:, None])
+    yield signals, np.array([follower.period])
+    lag_s = _lag_s(errors, np.interp(times_ns, told.times_ns, commands), times_ns)
+    if np.isfinite(lag_s):
+        lag = np.array([[lag_s]])
+        yield Signals(own.topic, (f"{name}{LAG}",), ("s",), times_ns[-1:], lag), np.zeros(1)
+
+
+def _lag_s(errors: Floats, commands: Floats, times_ns: NDArray[np.int64]) -> float:
+    """Return the lag behind smooth commands, by least squares; NaN if they are steady."""
+    different = np.flatnonzero(np.diff(times_ns, prepend=-1))
+    if len(different) < FEWEST:
+        return math.nan
+    rates = np.gradient(commands[different], times_ns[different] * 1e-9)
+    changes = rates - rates.mean()
+    power = float(changes @ changes)
+    told = power > STEADY * float(rates @ rates)
+    return -float(errors[different] @ changes) / power if told else math.nan

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.datasets import SIGNALS
+from oracle_pipeline.datasets import LAG, SIGNALS
 from oracle_pipeline.features.engine.plugin import Feature
 from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.signals.collector import Floats, Signals
@@ -15,6 +15,7 @@ from oracle_pipeline.features.signals.units import period_of
 
 FEWEST = 4  # numbers of a signal that has more than a level
 ROUNDING = 1e-7  # of the largest magnitude: smaller deviations are rounding errors
+LEAST_LAG_S = 0.01  # which another machine adds, too
 FEWEST_HELD = 30  # numbers of a signal that can stand still
 
 _IN_UNIT = {
@@ -79,9 +80,10 @@ class SignalTable:
 
 
 def _feature(name: str, statistic: str, unit: str) -> Feature:
-    timing = statistic in OF_STEPS
+    timing = statistic in OF_STEPS or name.endswith(LAG)
     if statistic in _IN_UNIT:
-        return Feature(name, unit, math.nan, f"{_IN_UNIT[statistic]} of the field", timing=timing)
+        floor = LEAST_LAG_S if name.endswith(LAG) else math.nan
+        return Feature(name, unit, floor, f"{_IN_UNIT[statistic]} of the field", timing=timing)
     words, floor = _PURE[statistic]
     return Feature(name, "1", floor, f"{words}, of the field", timing=timing)
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.api import learn, score
-from oracle_pipeline.datasets import MINUS
+from oracle_pipeline.datasets import LAG, MINUS
 from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.signals.collector import Signals
 from oracle_pipeline.features.signals.control_errors import MOST_FOLLOWERS, control_errors
@@ -44,6 +44,17 @@ def named(signals):
         (("/local_position_setpoint", "x"), ("/local_position", "x")),  # PX4
         (("/mavros/nav_info/roll", "commanded"), ("/mavros/nav_info/roll", "measured")),
         (("/log", "controller_cmd_roll"), ("/log", "controller_roll")),  # Crazyflie
+        (("/lowcmd", "motor_cmd[3].q"), ("/lowstate", "motor_state[3].q")),  # Unitree
+        (("/franka_state", "q_d[0]"), ("/franka_state", "q[0]")),
+        (
+            ("/master_left/joint_states", "position.waist"),
+            ("/puppet_left/joint_states", "position.waist"),
+        ),  # ALOHA
+        (
+            ("/control_cmd", "lateral.steering_tire_angle"),
+            ("/steering_status", "steering_tire_angle"),
+        ),  # Autoware
+        (("/control_cmd", "longitudinal.velocity"), ("/velocity", "longitudinal_velocity")),
     ],
 )
 def test_what_follows_a_command_is_known_by_its_name(command, follower):
@@ -90,6 +101,20 @@ def test_errors_of_angles_stay_in_their_unit_and_within_half_a_turn(offset):
     both = [signal("/target", "yaw", values=told), signal("/state", "yaw", values=wrapped)]
     error = SignalTable(both).values(SPAN)[f"signals./state/yaw{MINUS}target.yaw.mean"]
     assert error == pytest.approx((offset + 180.0) % 360.0 - 180.0)
+
+
+@given(st.integers(0, 1000), st.integers(0, 4), st.floats(-5.0, 5.0))
+def test_the_lag_is_that_of_a_copy_that_comes_late(seed, late, offset):
+    told = np.cumsum(np.cumsum(np.random.default_rng(seed).normal(size=COUNT + late)))
+    both = [signal("/command", "x", values=told[late:]),
+            signal("/state", "x", values=told[:COUNT] + offset)]  # fmt: skip
+    lag = SignalTable(both).values(SPAN)[f"signals./state/x{MINUS}command.x{LAG}.mean"]
+    assert lag == pytest.approx(0.05 * late, rel=0.3, abs=1e-6)
+
+
+def test_there_is_no_lag_behind_a_command_that_stands_still():
+    table = SignalTable([signal("/command", "x"), signal("/state", "x")])
+    assert not any(LAG in column for column in table.values(SPAN))
 
 
 def test_a_command_that_never_came_before_gives_no_error():

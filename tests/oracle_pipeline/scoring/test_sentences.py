@@ -45,6 +45,8 @@ def test_sentence_says_until_when_and_whether_it_lasts_all_the_time():
         ("signals./odom/twist.linear.x.std", "The spread of twist.linear.x on /odom is 2.5"),
         ("signals./imu/orientation.w.held", "The time without a change of orientation.w on /imu"),
         ("signals./sonar/range.min", "The minimum of range on /sonar is 2.5"),
+        ("signals./odom/x minus cmd.x.mean", "The mean of x minus cmd.x on /odom is 2.5"),
+        ("signals./odom/x minus cmd.x.lag.mean", "The lag of x behind cmd.x on /odom is 2.5"),
         ("signals./a/b/range.missing", "The share without a number of range on /a/b is 2.5"),
     ],
 )

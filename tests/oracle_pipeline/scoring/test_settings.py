@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from oracle_pipeline.datasets import MINUS
 from oracle_pipeline.scoring.learning import common_signals, settings_among
 
 RUNS = 12
@@ -48,3 +49,13 @@ def test_a_signal_that_changes_within_recordings_counts() -> None:
     settings = settings_among(runs)
     assert settings == set()
     assert set(common_signals(runs, settings)) == set(runs.columns)
+
+
+@pytest.mark.parametrize(("error", "counts"), [(0.05, True), (0.5, False)])
+def test_the_difference_from_a_command_counts_if_something_follows_it(
+    error: float, counts: bool
+) -> None:
+    runs = table(np.random.default_rng(0), within=0.0)
+    difference = f"{SPEED}{MINUS}cmd_vel.linear.x.std"
+    runs[difference] = error
+    assert (difference in common_signals(runs, settings_among(runs))) is counts
