@@ -147,13 +147,14 @@ def _statistics(values: Floats, *, of_run: bool) -> Floats:
 def _of_finite(values: Floats, of_run: bool) -> Floats:
     """Return all statistics but the last of columns of finite numbers.
 
-    A few numbers have a level only, so that what is published once counts too. The last two are of
-    runs only.
+    A few numbers have a level only, and one has only a mean, so that what is published once counts
+    too. The last two are of runs only.
     """
     mean, low, high = values.mean(axis=0), values.min(axis=0), values.max(axis=0)
     unknown = np.full(len(mean), np.nan)
     if len(values) < FEWEST:
-        return np.stack([mean, unknown, low, high, *[unknown] * 3])
+        ends = [low, high] if len(values) > 1 else [unknown] * 2
+        return np.stack([mean, unknown, *ends, *[unknown] * 3])
     steps, centred = values[1:] - values[:-1], values - mean
     squares = (centred * centred).mean(axis=0)
     deviation, change = np.sqrt(squares), np.abs(steps).mean(axis=0)

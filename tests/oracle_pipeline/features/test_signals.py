@@ -50,6 +50,14 @@ def test_a_field_may_be_named_as_the_rate_of_a_counter_is(per_window):
     assert rate == 7.0
 
 
+@pytest.mark.parametrize(("count", "told"), [(1, {"mean"}), (2, {"mean", "min", "max"})])
+def test_one_number_has_a_mean_and_a_few_have_a_range_too(count, told):
+    signals = Signals("/log", ("a",), ("",), np.arange(count), np.full((count, 1), 3.0))
+    found = SignalTable([signals]).values(Span(0, 10))
+    finite = {name.rpartition(".")[2] for name, value in found.items() if np.isfinite(value)}
+    assert finite == {*told, "missing"}
+
+
 @given(st.integers(0, 1000), st.floats(0.1, 1e3), st.floats(-1e3, 1e3))
 def test_statistics_are_those_of_numpy(tmp_path_factory, seed, scale, level):
     values = level + scale * np.random.default_rng(seed).normal(size=COUNT)
