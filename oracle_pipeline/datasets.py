@@ -94,6 +94,17 @@ def topic_of_signal(column: str) -> str:
     return column.removeprefix(SIGNALS).rpartition("/")[0] if column.startswith(SIGNALS) else ""
 
 
+def is_lag(signal: str) -> bool:
+    """Return whether a signal is a lag behind a command; a field may be named `lag`, too.
+
+    Examples
+    --------
+    >>> is_lag("x minus cmd.x.lag"), is_lag("network.lag")
+    (True, False)
+    """
+    return MINUS in signal and signal.endswith(LAG)
+
+
 def field_metadata(df: pd.DataFrame) -> dict[str, dict[str, str]]:
     """Return the declarations of each column (``unit``, ``floor``, ...); may be empty."""
     return dict(df.attrs.get("fields", {}))

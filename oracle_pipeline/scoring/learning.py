@@ -226,11 +226,8 @@ def settings_among(runs: pd.DataFrame) -> set[str]:
     for column in datasets.signal_columns(runs):
         signal, _, statistic = column.rpartition(".")
         spread = f"{signal}.std"
-        if (
-            statistic == "mean"
-            and spread in runs
-            and not signal.endswith(("/period", datasets.LAG))
-        ):
+        is_time = signal.endswith("/period") or datasets.is_lag(signal)
+        if statistic == "mean" and spread in runs and not is_time:
             within, between = np.median(np.nan_to_num(runs[spread])), runs[column].std(ddof=0)
             if within <= OF_SETTING * between and np.nan_to_num(runs[column]).any():
                 found.add(signal)
@@ -239,12 +236,13 @@ def settings_among(runs: pd.DataFrame) -> set[str]:
 
 def _follows_nothing(table: pd.DataFrame, difference: str) -> bool:
     """Return whether a difference from a command varies more than the number itself."""
-    names = (
-        difference.rpartition(".")[0].removesuffix(datasets.LAG),
-        difference.partition(datasets.MINUS)[0],
-    )
-    error, number = (np.median(np.nan_to_num(table[f"{name}.std"])) for name in names)
-    return bool(error > MOST_ERROR * number)
+    signal, number = difference.rpartition(".")[0], difference.partition(datasets.MINUS)[0]
+    error = signal.removesuffix(datasets.LAG) if datasets.is_lag(signal) else signal
+    spreads = [f"{name}.std" for name in (error, number)]
+    if not set(spreads) <= set(table):  # a field of a table may have such a name
+        return False
+    of_error, of_number = (np.median(np.nan_to_num(table[spread])) for spread in spreads)
+    return bool(of_error > MOST_ERROR * of_number)
 
 
 def _is_level_of(settings: Collection[str], column: str) -> bool:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from oracle_pipeline.datasets import LAG, MINUS, SIGNALS, topic_of_signal
+from oracle_pipeline.datasets import LAG, MINUS, SIGNALS, is_lag, topic_of_signal
 from oracle_pipeline.scoring.verdict import Evidence, Verdict
 
 _ROUNDING = 1e-12  # below all that features resolve
@@ -110,7 +110,7 @@ def _text(evidence: Evidence, value: str, usual: str) -> str:
     if topic := topic_of_signal(feature):
         signal, _, statistic = feature.removeprefix(f"{SIGNALS}{topic}/").rpartition(".")
         told = f"The {_STATISTICS.get(statistic, statistic)} of {signal}"
-        if signal.endswith(LAG):
+        if is_lag(signal):
             told = f"The lag of {signal.removesuffix(LAG).replace(MINUS, ' behind ')}"
         return f"{told} on {topic} is {value}; normal runs have {usual}"
     a, _, b = (evidence.where or "").partition(_AGAINST)

@@ -94,7 +94,7 @@ def _numbers(signals: Signals, periods: Floats) -> Iterator[_Number]:
 def _words(name: str) -> tuple[bool, Words]:
     """Return whether a name is that of a command, and its other words."""
     words = [word.lower() for word in _WORD.findall(name)]
-    others = tuple(word for word in words if word not in _OF_COMMANDS | _OF_FOLLOWERS)
+    others = tuple(w for w in words if w not in _OF_COMMANDS and w not in _OF_FOLLOWERS)
     return not _OF_COMMANDS.isdisjoint(words), others
 
 
@@ -115,7 +115,7 @@ def _following(command: _Number, followers: Mapping[Words, list[_Number]]) -> li
 
 
 def _errors(command: _Number, follower: _Number) -> Iterator[Prepared]:
-    """Yield the errors, and one lag [s] of the recording, unless the command does not change."""
+    """Yield the errors, and one lag [s] of the recording, unless the command is steady."""
     told, own = command.signals, follower.signals
     last = np.searchsorted(told.times_ns, own.times_ns, side="right") - 1
     known = last >= 0

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.datasets import LAG, SIGNALS
+from oracle_pipeline.datasets import SIGNALS, is_lag
 from oracle_pipeline.features.engine.plugin import Feature
 from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.signals.collector import Floats, Signals
@@ -80,9 +80,9 @@ class SignalTable:
 
 
 def _feature(name: str, statistic: str, unit: str) -> Feature:
-    timing = statistic in OF_STEPS or name.endswith(LAG)
+    timing = statistic in OF_STEPS or is_lag(name)
     if statistic in _IN_UNIT:
-        floor = LEAST_LAG_S if name.endswith(LAG) else math.nan
+        floor = LEAST_LAG_S if is_lag(name) else math.nan
         return Feature(name, unit, floor, f"{_IN_UNIT[statistic]} of the field", timing=timing)
     words, floor = _PURE[statistic]
     return Feature(name, "1", floor, f"{words}, of the field", timing=timing)

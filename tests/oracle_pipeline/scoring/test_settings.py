@@ -59,3 +59,9 @@ def test_the_difference_from_a_command_counts_if_something_follows_it(
     difference = f"{SPEED}{MINUS}cmd_vel.linear.x.std"
     runs[difference] = error
     assert (difference in common_signals(runs, settings_among(runs))) is counts
+
+
+def test_fields_that_are_named_as_a_lag_are_compared_as_others() -> None:
+    columns = ["signals./log/actual.lag minus log.desired.lag.std", "signals./log/actual.lag.std"]
+    runs = pd.DataFrame(np.ones((RUNS, 2)), columns=columns)
+    assert set(common_signals(runs, set())) == set(columns)
