@@ -76,7 +76,8 @@ class ServedDomain:
         before = len(self._writers), len(self._readers), self._nodes
         self._nodes = self._domain.node_names()
         for publisher in self._domain.publishers():
-            if publisher not in self._writers and publisher.topic != GROUND_TRUTH_TOPIC:
+            is_hidden = publisher.topic == GROUND_TRUTH_TOPIC or publisher.node not in self._nodes
+            if publisher not in self._writers and not is_hidden:
                 self._writers[publisher] = dds.RawWriter(
                     self._participant, dds_topic(publisher.topic), publisher.msgtype, publisher.qos
                 )

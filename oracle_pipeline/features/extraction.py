@@ -197,8 +197,10 @@ def extract_window(
     start_s: float,
     carried: Carried,
     robot: Robot | None = None,
+    *,
+    signals: bool = False,
 ) -> WindowFeatures:
-    """Compute the features of one window of a recording in progress, without signals.
+    """Compute the features of one window of a recording in progress.
 
     Parameters
     ----------
@@ -213,13 +215,18 @@ def extract_window(
         Of the window before; empty for the first one.
     robot : Robot, optional
         By default the only one of the recording.
+    signals : bool
+        Whether the row has signals.
     """
     robot = robot or only_robot(run)
     run = replace(run, bag=robot.bag)
-    recording = KeptMessages.read(robot, manager.plugins, carried)
+    collector = SignalCollector(robot)
+    see = collector.see if signals else None
+    recording = KeptMessages.read(robot, manager.plugins, carried, see=see)
+    signals_seen = collector.signals(recording.times_ns) if signals else []
     extraction = _Extraction(run, manager, recording, Span(0, recording.clock.duration_ns))
     span = Span(round(start_s * 1e9), recording.clock.duration_ns)
-    table = extraction.windows(_keys(run, robot), [span], SignalTable([]))
+    table = extraction.windows(_keys(run, robot), [span], SignalTable(signals_seen))
     return WindowFeatures(table.frame(), recording.carried())
 
 

@@ -253,7 +253,9 @@ def _work(
                 found = []
                 for robot in find_robots(run.bag, reference.roles):
                     own = robots.setdefault(robot.name, _JudgedRobot(AlarmWatch(scorer.rule)))
-                    row, own.carried = extract_window(run, manager, start_s, own.carried, robot)
+                    row, own.carried = extract_window(
+                        run, manager, start_s, own.carried, robot, signals=scorer.uses_signals
+                    )
                     verdict = scorer.judge(row, end_s, own.alarms)
                     found.append(replace(verdict, robot=robot.name))
                 latency_s = time.monotonic() - request.ended_at

@@ -16,14 +16,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.bags.reader import Topic
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.bags.types import typestore
-from oracle_pipeline.live.events import (
-    ContractAlarm,
-    Event,
-    GraphTaken,
-    MessageReceived,
-    Note,
-    WindowAlarm,
-)
+from oracle_pipeline.live import events
 from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.robots.robot import names_of_robots
 from oracle_pipeline.scoring.output import HEADINGS, cells
@@ -60,21 +53,21 @@ class PageState:
         self._topics: dict[str, Topic] = {}  # of scans and odometry
         self._decoded_ns: dict[str, int] = {}  # by topic, stamp of the newest decoded message
 
-    def update(self, event: Event) -> None:
+    def update(self, event: events.Event) -> None:
         """Update the state with an event."""
         with self._lock:
-            if isinstance(event, MessageReceived):
+            if isinstance(event, events.MessageReceived):
                 self._message(event)
-            elif isinstance(event, GraphTaken):
+            elif isinstance(event, events.GraphTaken):
                 self._graph = _graph(event)
                 self._change("graph")
             elif isinstance(event, WindowVerdict):
                 self._verdicts.append(_verdict(event))
                 self._change("verdicts")
-            elif isinstance(event, WindowAlarm | ContractAlarm):
+            elif isinstance(event, events.WindowAlarm | events.ContractAlarm):
                 self._alarms.append(_alarm(event))
                 self._change("alarms")
-            elif isinstance(event, Note):
+            elif isinstance(event, events.Note):
                 self._notes.append(printable(event.text))
                 self._change("notes")
 
@@ -106,7 +99,7 @@ class PageState:
         self._changes += 1
         self._changed[part] = self._changes
 
-    def _message(self, event: MessageReceived) -> None:
+    def _message(self, event: events.MessageReceived) -> None:
         if self._start_ns is None:
             self._start_ns = event.stamp_ns
         self._received += 1
@@ -158,7 +151,7 @@ def _pose(odometry: Any) -> list[float]:
     return [round(float(v), 3) for v in (position.x, position.y, math.atan2(sine, cosine))]
 
 
-def _graph(event: GraphTaken) -> Part:
+def _graph(event: events.GraphTaken) -> Part:
     graph = event.graph
     number = {vertex: number for number, vertex in enumerate(sorted(graph))}
     return {
@@ -187,8 +180,8 @@ def _verdict(event: WindowVerdict) -> Part:
     }
 
 
-def _alarm(event: WindowAlarm | ContractAlarm) -> Part:
-    if isinstance(event, ContractAlarm):
+def _alarm(event: events.WindowAlarm | events.ContractAlarm) -> Part:
+    if isinstance(event, events.ContractAlarm):
         return {
             "end_s": event.at_s,
             "p_value": None,

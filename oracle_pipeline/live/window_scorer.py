@@ -17,7 +17,6 @@ from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.evidence import SHOWN
 from oracle_pipeline.scoring.verdict import Evidence, ScoringError
 
-_LEVEL = "windows"
 _USUAL = 1.645  # scales around the median that hold 90 % of a normal distribution
 
 
@@ -55,6 +54,8 @@ class WindowScorer:
         The rate that is promised.
     rule : AlarmRule
         For that rate.
+    uses_signals : bool
+        Whether signals count, since few features know the robot.
 
     Raises
     ------
@@ -72,6 +73,8 @@ class WindowScorer:
                 "recording has ended; learn it from recordings, or from tables with windows."
             )
         self._scorer = card.scorer
+        self._models = card.scorer.scorers_[0]
+        self.uses_signals = len(self._models.reach_) > 1
         self._normal = np.sort(normal.scores)
         self.alarms_per_h = alarms_per_h or max(RATE_PER_H, normal.lowest_rate())
         self.rule = normal.rule(self.alarms_per_h)
@@ -94,20 +97,23 @@ class WindowScorer:
 
     def _evidence(self, row: pd.DataFrame) -> tuple[Evidence, ...]:
         """Return the features that are farthest from those of normal windows."""
-        scaler = self._scorer.scorers_[0].models_[_LEVEL][0]
-        values = row.reindex(columns=scaler.kept_).iloc[0].to_numpy(dtype=np.float64)
-        z = np.nan_to_num((values - scaler.center_) / scaler.scale_, nan=0.0)
+        scalers = [self._models.models_[level][0] for level in self._models.reach_]
+        kept = [column for scaler in scalers for column in scaler.kept_]
+        center = np.concatenate([scaler.center_ for scaler in scalers])
+        scale = np.concatenate([scaler.scale_ for scaler in scalers])
+        values = row.reindex(columns=kept).iloc[0].to_numpy(dtype=np.float64)
+        z = np.nan_to_num((values - center) / scale, nan=0.0)
         units = {name: field.get("unit", "") for name, field in field_metadata(row).items()}
         farthest = np.argsort(-np.abs(z), kind="stable")[:SHOWN]
         return tuple(
             Evidence(
-                feature=scaler.kept_[j],
+                feature=kept[j],
                 z=float(np.clip(z[j], -CLIP, CLIP)),
                 capped=bool(abs(z[j]) > CLIP),
                 value=float(values[j]),
-                unit=units.get(scaler.kept_[j], ""),
-                usual_low=float(scaler.center_[j] - _USUAL * scaler.scale_[j]),
-                usual_high=float(scaler.center_[j] + _USUAL * scaler.scale_[j]),
+                unit=units.get(kept[j], ""),
+                usual_low=float(center[j] - _USUAL * scale[j]),
+                usual_high=float(center[j] + _USUAL * scale[j]),
                 window_start_s=float(row[WINDOW_START].iloc[0]),
             )
             for j in farthest.tolist()

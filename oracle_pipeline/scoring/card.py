@@ -325,7 +325,7 @@ def _models(scorers: Mapping[str, CrossConformalScorer]) -> list[dict[str, Any]]
             "fold": fold,
             "level": level,
             **_state(model),
-            "reach": of_fold.reach_ if level == "windows" else None,
+            "reach": of_fold.reach_.get(level),
         }
         for name, scorer in scorers.items()
         if not scorer.design.named
@@ -446,8 +446,8 @@ def _scorer(
         of_fold.windows_counted_ = counted
         states = {state["level"]: state for state in models if state["fold"] == fold}
         of_fold.models_ = {level: _restored(state, floors) for level, state in states.items()}
-        if "windows" in states:
-            of_fold.reach_ = np.array(states["windows"]["reach"])
+        reaches = {level: state["reach"] for level, state in states.items()}
+        of_fold.reach_ = {level: np.array(r) for level, r in reaches.items() if r is not None}
         if named:
             of_fold.fit(_whole(runs).where(scorer.fold_ != fold))
         scorer.scorers_.append(of_fold)

@@ -46,14 +46,17 @@ def check_scorer(scorer: CrossConformalScorer, runs: pd.DataFrame) -> None:
     _check_numbers("held_out", scorer.held_out_, len(runs))
     _check_numbers("centre", scorer.centre_, len(design.levels))
     _check_numbers("spread", scorer.spread_, len(design.levels), above=0.0)
-    levels = {level for level in (*design.levels, "windows") if design.columns(level)}
+    levels = {*design.levels, *design.alarm_levels}
     for of_fold in [] if design.named else scorer.scorers_:  # a named detector was fitted here
         _require(of_fold.models_.keys() == levels, "a fold has not the models of all levels")
         for level, model in of_fold.models_.items():
             _check_model(level, model, design.columns(level))
-        if design.window_features:
-            width = len(of_fold.models_["windows"][1].location_)
-            _check_numbers("reach", of_fold.reach_, width, above=0.0)
+        # Earlier releases know no alarms by signals.
+        fits = set(of_fold.reach_) in (set(design.alarm_levels), {"windows"} & levels)
+        _require(fits, "reach is not that of the levels for alarms")
+        for level, reach in of_fold.reach_.items():
+            width = len(of_fold.models_[level][1].location_)
+            _check_numbers("reach", reach, width, above=0.0)
     if scorer.windows_ is not None:
         _check_windows(scorer.windows_)
     _check_scores(scorer, runs)

@@ -8,15 +8,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from oracle_pipeline import datasets
 from oracle_pipeline.bags.terminal import join_first
-from oracle_pipeline.datasets import (
-    MINUS,
-    MISSING,
-    feature_columns,
-    field_metadata,
-    signal_columns,
-    topic_of_signal,
-)
 from oracle_pipeline.features.signals.fields import sequences
 from oracle_pipeline.scoring.verdict import ScoringError
 
@@ -33,7 +26,7 @@ def shared_features(
     ScoringError
         They share no feature, or a feature has different units.
     """
-    fields, own = field_metadata(reference), field_metadata(row)
+    fields, own = datasets.field_metadata(reference), datasets.field_metadata(row)
     values = row.reindex(columns=list(candidates)).to_numpy(dtype=np.float64)
     columns = [c for c, value in zip(candidates, values.T, strict=True) if np.isfinite(value).all()]
     for column in columns:
@@ -53,7 +46,7 @@ def shared_features(
     absent = [column for column in candidates if column not in columns and usual[column]]
     if not absent:
         return columns, []
-    reasons = json.loads(row[MISSING].iloc[0])
+    reasons = json.loads(row[datasets.MISSING].iloc[0])
     why = list(dict.fromkeys(reasons.get(column, "not extracted") for column in absent))
     return columns, [
         f"{len(absent)} features of the reference count as usual, because this recording lacks "
@@ -67,8 +60,8 @@ def given_numbers(df: pd.DataFrame) -> pd.DataFrame:
     Those in sequences of messages, such as detected objects, are left out: these may be empty.
     Differences of two numbers are, too.
     """
-    given = [column for column in signal_columns(df) if column.endswith(_PRESENT)]
-    columns = [column for column in given if MINUS not in column]
+    given = [column for column in datasets.signal_columns(df) if column.endswith(_PRESENT)]
+    columns = [column for column in given if datasets.MINUS not in column]
     may_be_empty = sequences(column.removesuffix(_PRESENT) for column in columns)
     columns = [column for column in columns if not column.startswith(may_be_empty)]
     return df[columns].notna().rename(columns=lambda column: column.removesuffix(_PRESENT))
@@ -86,9 +79,9 @@ def lacking_numbers(own: pd.DataFrame, usual: pd.DataFrame) -> dict[str, str]:
     """
     has, wanted = (set(each.columns[each.all()]) for each in (own, usual))
     lacking: dict[str, list[str]] = {}
-    of_topic = Counter(map(topic_of_signal, has))
+    of_topic = Counter(map(datasets.topic_of_signal, has))
     for number in sorted(wanted - has):
-        topic = topic_of_signal(number)
+        topic = datasets.topic_of_signal(number)
         # One is the time between messages. The rate of a counter stands for its level.
         if of_topic[topic] > 1 and f"{number}.rate" not in has:
             lacking.setdefault(topic, []).append(number.rpartition("/")[2])
@@ -104,7 +97,7 @@ def same_kind(table: pd.DataFrame, columns: Sequence[str]) -> NDArray[np.bool_]:
 
 def same_recording(reference: pd.DataFrame, row: pd.DataFrame) -> NDArray[np.bool_]:
     """Return a mask of the reference runs with exactly the features of this recording."""
-    measured = [*feature_columns(reference), *signal_columns(reference)]
+    measured = [*datasets.feature_columns(reference), *datasets.signal_columns(reference)]
     columns = [column for column in measured if column in row.columns]
     theirs, own = reference[columns].to_numpy(), row[columns].to_numpy()
     same = (theirs == own) | (np.isnan(theirs) & np.isnan(own))

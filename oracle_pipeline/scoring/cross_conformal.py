@@ -216,13 +216,13 @@ class CrossConformalScorer:
         block : ndarray of int, shape (n_windows,), optional
             As for `p_values`, but of each window.
         """
-        known = windows.reindex(columns=list(self.design.window_features))
+        known = windows.reindex(columns=self.design.window_columns)
         of_folds = np.stack([scorer.alarm_scores(known) for scorer in self.scorers_])
         return self.own_score(of_folds, block)
 
     def window_families(self, windows: pd.DataFrame) -> list[list[str]]:
         """Return the unusual families of each window, the farthest first, as `AlarmWatch` needs."""
-        known = windows.reindex(columns=list(self.design.window_features))
+        known = windows.reindex(columns=self.design.window_columns)
         return self.scorers_[0].unusual_families(known)
 
     @property

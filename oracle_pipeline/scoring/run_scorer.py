@@ -7,7 +7,7 @@ and the farthest one alone, are beyond their range in normal runs.
 
 A window also has a score of its own for alarms: how far its most unusual features are beyond what
 normal windows reach. In a distance over all features, the few that a short attack changes are lost
-among the many that it does not change.
+among the many that it does not change. Signals count too where few features know the robot.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,6 +36,7 @@ PLAIN_STATISTICS = ("mean", "std", "min", "max", "change")  # of signals, for it
 OF_WINDOWS = ("windows", "signal windows")  # levels of windows; all others are of whole runs
 TOP_WINDOWS = 6  # number of highest window scores that are averaged for a run
 TOP_FEATURES = 3  # number of a window's most unusual features that are averaged for alarms
+WELL_KNOWN = 100  # features of windows beside which signals raise no alarms
 LEAST_REACH = 3.0  # smallest distance that normal windows are taken to reach [scales]
 COMMON = 0.9  # share of the runs that reach the common length
 
@@ -73,6 +74,13 @@ class Design:
     def uses_features(self) -> bool:
         """Whether features count, and not signals alone."""
         return any(level in OF_FEATURES for level in self.levels)
+
+    @property
+    def alarm_levels(self) -> tuple[str, ...]:
+        """The levels of windows whose columns count for alarms."""
+        are_known = len(self.window_features) >= WELL_KNOWN
+        levels = ("windows",) if are_known else OF_WINDOWS
+        return tuple(filter(self.columns, levels)) if self.window_features else ()
 
     @property
     def run_columns(self) -> list[str]:
@@ -116,9 +124,9 @@ class RunScorer:
     ----------
     models_ : dict of str to Pipeline
         A fitted scaler and detector for each level that has columns.
-    reach_ : ndarray of shape (n_columns,)
-        Largest distance of each scaled column of windows from 0 in the fitted runs, at least
-        `LEAST_REACH` [scales]; only if windows have features.
+    reach_ : dict of str to ndarray of shape (n_columns,)
+        For each level that counts for alarms: largest distance of each scaled column from 0 in the
+        fitted runs, at least `LEAST_REACH` [scales].
     windows_counted_ : int
         Most windows of a fitted run. A longer run has more extreme windows by chance, so it counts
         by the mean over its parts of that length.
@@ -139,12 +147,14 @@ class RunScorer:
         design = self.design
         self.windows_counted_ = int(runs.counts.max())
         self.models_: dict[str, Pipeline] = {}
-        for level in dict.fromkeys((*design.levels, "windows")):  # alarms need those
+        for level in dict.fromkeys((*design.levels, *design.alarm_levels)):
             if columns := design.columns(level):
                 table = runs.windows if level in OF_WINDOWS else runs.features
                 self.models_[level] = self._fitted(level, _select(table, columns))
-        if design.window_features:
-            self.reach_ = np.maximum(self._distances(runs.windows).max(axis=0), LEAST_REACH)
+        self.reach_ = {
+            level: np.maximum(self._distances(level, runs.windows).max(axis=0), LEAST_REACH)
+            for level in design.alarm_levels
+        }
         return self
 
     def score(self, runs: MeasuredRuns) -> NDArray[np.float64]:
@@ -175,7 +185,8 @@ class RunScorer:
         for level, model in self.models_.items():
             if level in OF_WINDOWS:
                 scaler = model[0]
-                reach = self.reach_[: len(scaler.kept_)] if level == "windows" else LEAST_REACH
+                of_features = level == "windows"
+                reach = self.reach_[level][: len(scaler.kept_)] if of_features else LEAST_REACH
                 reach = np.where(reach >= CLIP, np.inf, reach)
                 spread = scaler.scale_ * np.where(getattr(scaler, "is_constant_", False), 0, reach)
                 ends = zip(scaler.center_ - spread, scaler.center_, scaler.center_ + spread,
@@ -190,18 +201,18 @@ class RunScorer:
         It is the mean of the highest `TOP_FEATURES` distances, each divided by what normal windows
         reach. Above 1, these features are farther out than in any normal window.
         """
-        distances = self._distances(windows) / self.reach_
-        highest = -np.sort(-distances, axis=1)[:, :TOP_FEATURES]
+        highest = -np.sort(-self._beyond_reach(windows), axis=1)[:, :TOP_FEATURES]
         return np.asarray(highest.mean(axis=1), dtype=np.float64)
 
     def unusual_families(self, windows: pd.DataFrame) -> list[list[str]]:
         """Return the families beyond what normal windows reach, for each row, the farthest first.
 
-        A window whose score is above 1 has at least one.
+        A window whose score is above 1 has at least one. The family of a signal is its topic.
         """
-        scaler = self.models_["windows"][0]
-        names = np.array([c.split(".", 1)[0] for c in (*scaler.kept_, *scaler.indicated_)])
-        of_rows = self._distances(windows) / self.reach_
+        scalers = [self.models_[level][0] for level in self.reach_]
+        columns = [c for scaler in scalers for c in (*scaler.kept_, *scaler.indicated_)]
+        names = np.array([topic_of_signal(c) or c.split(".", 1)[0] for c in columns])
+        of_rows = self._beyond_reach(windows)
         order = np.argsort(-of_rows, axis=1, kind="stable")
         return [
             list(dict.fromkeys(names[own[row[own] > 1.0]].tolist()))
@@ -221,10 +232,16 @@ class RunScorer:
             detector = clone(self.design.detector)
         return Pipeline([("scaler", scaler), ("detector", detector.fit(scaler.transform(table)))])
 
-    def _distances(self, windows: pd.DataFrame) -> NDArray[np.float64]:
+    def _beyond_reach(self, windows: pd.DataFrame) -> NDArray[np.float64]:
+        """Return all distances by what normal windows reach, shape (n_windows, n_columns)."""
+        return np.hstack(
+            [self._distances(level, windows) / reach for level, reach in self.reach_.items()]
+        )
+
+    def _distances(self, level: str, windows: pd.DataFrame) -> NDArray[np.float64]:
         """Return the distances of the scaled columns from 0, shape (n_windows, n_columns)."""
-        seen = _select(windows, self.design.window_features)
-        return np.asarray(np.abs(self.models_["windows"][0].transform(seen)), dtype=np.float64)
+        seen = _select(windows, self.design.columns(level))
+        return np.asarray(np.abs(self.models_[level][0].transform(seen)), dtype=np.float64)
 
 
 def _select(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:

@@ -22,6 +22,7 @@ from sim.testbed import Mode
 FLIGHTS = 10  # of a run
 
 _LOOK_S = 5  # interval at which coverage is checked
+_COVERED_S = 300.0  # for which a target stays in coverage, in recordings of at least twice that
 
 
 def draw(mode: Mode, run: int, campaign: Campaign, parameters: Mapping[str, Any]) -> AtcRecipe:
@@ -61,10 +62,11 @@ def _draw_flights(campaign: Campaign, block: int, wind: tuple[float, float]) -> 
 def _draw_target(
     campaign: Campaign, block: int, flights: tuple[Flight, ...], wind: tuple[float, float]
 ) -> Flight:
-    """Draw the target of attacks: a flight in coverage during the first half of the recording."""
+    """Draw the target of attacks: a flight in coverage during the first minutes, at most half."""
     air = AirSpace(flights, wind)
     covered = set(range(len(flights)))
-    begin_s, end_s = round(SETTLING_S), round(SETTLING_S + campaign.timeout_s / 2.0)
+    begin_s = round(SETTLING_S)
+    end_s = round(SETTLING_S + min(campaign.timeout_s / 2.0, _COVERED_S))
     for second in range(begin_s, end_s, _LOOK_S):
         air.advance_to(second * SECOND)
         numbers, states = air.in_the_air()

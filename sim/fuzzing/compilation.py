@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sim.fuzzing import value_types as vt
 from sim.fuzzing.compile_context import CompileContext, Faults, OperationBudget, OperationNumbers
 from sim.fuzzing.fields import as_sent
 from sim.fuzzing.grammar import ExpressionError
@@ -26,25 +27,13 @@ from sim.fuzzing.scenario import (
 from sim.fuzzing.scopes import Function, Scope
 from sim.fuzzing.step import ACTIVATION
 from sim.fuzzing.topics import MAIN, check_topics, type_of
-from sim.fuzzing.value_types import (
-    BOOLEAN,
-    FLOAT,
-    INTEGER,
-    MAX_TEXT,
-    Array,
-    Number,
-    Record,
-    Table,
-    Text,
-    Type,
-)
 from sim.middleware.executor import SECOND
 
 MAX_COST = 2**24  # elements that a scenario may compute for one message
 LONGEST = 4096  # elements of an array, where the scenario sets no limit
 OUTPUTS = 64  # messages published for one that came, where the scenario sets no limit
 
-_SCALARS: Mapping[str, Type] = {"float": FLOAT, "int": INTEGER, "bool": BOOLEAN}
+_SCALARS: Mapping[str, vt.Type] = {"float": vt.FLOAT, "int": vt.INTEGER, "bool": vt.BOOLEAN}
 
 
 def compile_scenario(
@@ -83,22 +72,22 @@ def compile_scenario(
     state_types, state, lifetimes_ns = _state(scenario, faults)
     faults.end()  # later stages would only repeat them
     check_topics(scenario, faults, allow_actuation=allow_actuation)
-    given: dict[str, Type] = {
-        "p": Record("p", {name: parameter.type for name, parameter in parameters.items()}),
-        "c": Record("c", {name: type_ for name, (type_, _) in constants.items()}),
+    given: dict[str, vt.Type] = {
+        "p": vt.Record("p", {name: parameter.type for name, parameter in parameters.items()}),
+        "c": vt.Record("c", {name: type_ for name, (type_, _) in constants.items()}),
     }
     context = CompileContext(
         scenario, _scope(scenario, given), kind, {"": (main["output"], kind), **outputs},
-        Record("state", state_types), limits.get("array", LONGEST),
+        vt.Record("state", state_types), limits.get("array", LONGEST),
         OperationNumbers(ACTIVATION + 1), budget or OperationBudget(), faults,
     )  # fmt: skip
     sources = _sources(scenario, context)
-    kept: dict[str, Type] = {
+    kept: dict[str, vt.Type] = {
         **given,
         "state": context.state,
-        "src": Record("src", {name: source.value for name, source in sources.items()}),
-        "t": FLOAT,
-        "now": FLOAT,
+        "src": vt.Record("src", {name: source.value for name, source in sources.items()}),
+        "t": vt.FLOAT,
+        "now": vt.FLOAT,
     }
     node_parameters = tuple(_node_parameters(scenario, context, allow_actuation=allow_actuation))
     on_timer = _rescoped(context, kept)
@@ -115,7 +104,7 @@ def compile_scenario(
         key = ("transform", "timer")
         spec = transform["timer"]
         with faults.gathered():
-            period = context.term(spec["period_s"], (*key, "period_s"), Number)
+            period = context.term(spec["period_s"], (*key, "period_s"), vt.Number)
         do = compile_operators(spec["do"], (*key, "do"), on_timer, ON_TIMER)
         timer = Action(spec.get("name", "timer"), None, (), do)
     magnitude = None
@@ -123,7 +112,7 @@ def compile_scenario(
         text = document["ground_truth"]["magnitude"]
         scope = on_timer if timer else on_message
         with faults.gathered():
-            magnitude = scope.term(text, ("ground_truth", "magnitude"), Number)
+            magnitude = scope.term(text, ("ground_truth", "magnitude"), vt.Number)
     parts = [part for part in (always, *actions, timer) if part is not None]
     program = Program(
         scenario=scenario, type=kind, as_sent=as_sent(kind), input_topic=main["input"],
@@ -161,11 +150,11 @@ def _node_parameters(
                     "expected no parameter that is set: parameters decide how the robot moves; "
                     "allow it with --allow-actuation",
                 )
-            value = context.term(spec["value"], (*key, "value"), Number)
+            value = context.term(spec["value"], (*key, "value"), vt.Number)
             yield ParameterChange(spec["node"], spec["name"], value)
 
 
-def _scope(scenario: Scenario, names: Mapping[str, Type]) -> Scope:
+def _scope(scenario: Scenario, names: Mapping[str, vt.Type]) -> Scope:
     functions = {}
     key: Key = ("functions",)
     try:
@@ -178,7 +167,7 @@ def _scope(scenario: Scenario, names: Mapping[str, Type]) -> Scope:
         raise scenario.error(key, str(error).removesuffix(".")) from error
 
 
-def _rescoped(context: CompileContext, names: Mapping[str, Type]) -> CompileContext:
+def _rescoped(context: CompileContext, names: Mapping[str, vt.Type]) -> CompileContext:
     return dataclasses.replace(context, scope=dataclasses.replace(context.scope, names=names))
 
 
@@ -208,8 +197,8 @@ def _activation(scenario: Scenario) -> Activation:
     return activation
 
 
-def _scalar(spec: Mapping[str, Any]) -> Type:
-    return _SCALARS.get(spec["type"]) or Text(spec.get("max_len", MAX_TEXT))
+def _scalar(spec: Mapping[str, Any]) -> vt.Type:
+    return _SCALARS.get(spec["type"]) or vt.Text(spec.get("max_len", vt.MAX_TEXT))
 
 
 def _parameters(scenario: Scenario, faults: Faults) -> dict[str, Parameter]:
@@ -254,41 +243,41 @@ def _default(scenario: Scenario, key: Key, parameter: Parameter) -> Any:
         raise scenario.error((*key, "default"), str(error)) from error
 
 
-def _constants(scenario: Scenario, faults: Faults) -> dict[str, tuple[Type, Any]]:
-    constants: dict[str, tuple[Type, Any]] = {}
+def _constants(scenario: Scenario, faults: Faults) -> dict[str, tuple[vt.Type, Any]]:
+    constants: dict[str, tuple[vt.Type, Any]] = {}
     for name, value in scenario.document.get("constants", {}).items():
         match value:
             case bool():
-                constants[name] = BOOLEAN, value
+                constants[name] = vt.BOOLEAN, value
             case int():
-                constants[name] = INTEGER, value
+                constants[name] = vt.INTEGER, value
             case float():
-                constants[name] = FLOAT, value
+                constants[name] = vt.FLOAT, value
             case str():
-                constants[name] = Text(len(value)), value
+                constants[name] = vt.Text(len(value)), value
             case [*_] if all(isinstance(pair, list) for pair in value):
-                corners = Array(Array(FLOAT, 2, fixed=True), len(value), fixed=True)
+                corners = vt.Array(vt.Array(vt.FLOAT, 2, fixed=True), len(value), fixed=True)
                 constants[name] = corners, np.array(value, np.float64)
             case _ if any(isinstance(number, list) for number in value):
                 with faults.gathered():
                     raise scenario.error(("constants", name), "expected all numbers or all pairs")
             case _:
-                numbers = Array(FLOAT, len(value), fixed=True)
+                numbers = vt.Array(vt.FLOAT, len(value), fixed=True)
                 constants[name] = numbers, np.array(value, np.float64)
     return constants
 
 
 def _state(
     scenario: Scenario, faults: Faults
-) -> tuple[dict[str, Type], dict[str, Any], dict[str, int]]:
+) -> tuple[dict[str, vt.Type], dict[str, Any], dict[str, int]]:
     """Return types and initial values of the state, and the lifetimes of rows of tables."""
-    types: dict[str, Type] = {}
+    types: dict[str, vt.Type] = {}
     values: dict[str, Any] = {}
     lifetimes_ns = {}
     for name, spec in scenario.document.get("state", {}).items():
         if spec["type"] == "map":
             columns = {column: _scalar({"type": kind}) for column, kind in spec["value"].items()}
-            types[name], values[name] = Table(Record(name, columns), spec["max_size"]), {}
+            types[name], values[name] = vt.Table(vt.Record(name, columns), spec["max_size"]), {}
             if "ttl_s" in spec:
                 lifetimes_ns[name] = round(spec["ttl_s"] * SECOND)
             continue
@@ -304,7 +293,7 @@ def _sources(scenario: Scenario, context: CompileContext) -> dict[str, Source]:
     for name, spec in scenario.document.get("sources", {}).items():
         key = ("sources", name)
         kind = type_of(scenario, spec["type"], (*key, "type"))
-        names = {"msg": kind, **context.scope.names, "now": FLOAT}
+        names = {"msg": kind, **context.scope.names, "now": vt.FLOAT}
         _, let = _rescoped(context, names).let(spec, key)
         age = spec.get("max_age")
         sources[name] = Source(
@@ -312,7 +301,7 @@ def _sources(scenario: Scenario, context: CompileContext) -> dict[str, Source]:
             kind,
             as_sent(kind),
             let,
-            Record(name, {key: term.type for key, term in let}) if let else kind,
+            vt.Record(name, {key: term.type for key, term in let}) if let else kind,
             None if age is None else round(age * SECOND),
             spec.get("on_missing", "forward"),
         )

@@ -20,25 +20,10 @@ from typing import Any, NoReturn
 import numpy as np
 
 from sim.fuzzing import arithmetic
+from sim.fuzzing import value_types as vt
 from sim.fuzzing.functions import BUILTINS, CONSTANTS, Builtin, promoted
 from sim.fuzzing.grammar import FUNCTIONS, called_function, error_at, listed, parse
 from sim.fuzzing.scopes import DRAWS, Function, Scope
-from sim.fuzzing.value_types import (
-    BOOLEAN,
-    FLOAT,
-    INTEGER,
-    Array,
-    Boolean,
-    Message,
-    Number,
-    Record,
-    Table,
-    Text,
-    Type,
-    listable,
-    missing,
-    strip_padding,
-)
 
 MAX_DEPTH = 40  # operations inside operations, functions included
 MAX_OPERATIONS = 2000  # of one expression, functions included
@@ -51,7 +36,7 @@ Evaluate = Callable[[Frame], Any]
 class _Node:
     """A compiled part of an expression."""
 
-    type: Type
+    type: vt.Type
     vector: bool
     cost: int
     run: Evaluate
@@ -78,7 +63,7 @@ class Expression:
     """
 
     text: str
-    type: Type
+    type: vt.Type
     vector: bool
     cost: int
     names: frozenset[str]
@@ -158,7 +143,7 @@ class _Compiler(ast.NodeVisitor):
         self,
         text: str,
         scope: Scope,
-        local: Mapping[str, Type],
+        local: Mapping[str, vt.Type],
         vectors: Mapping[str, bool],
         elements: int,
         depth: int = 0,
@@ -209,12 +194,12 @@ class _Compiler(ast.NodeVisitor):
         if isinstance(node.value, ast.Name) and node.value.id == FUNCTIONS:
             self._refuse(node, f"a function is called: fn.{node.attr}(...)")
         record = self.visit(node.value)
-        if not isinstance(record.type, Record):
+        if not isinstance(record.type, vt.Record):
             self._refuse(node, f"{record.type} has no fields")
         if node.attr not in record.type.fields:
             fields = listed(record.type.fields)
             self._refuse(node, f"{record.type} has no field {node.attr!r}; it has {fields}")
-        getter = operator.attrgetter if isinstance(record.type, Message) else operator.itemgetter
+        getter = operator.attrgetter if isinstance(record.type, vt.Message) else operator.itemgetter
         read, kind = getter(node.attr), record.type.fields[node.attr]
         return self._load(kind, False, record.cost + 1, lambda frame: read(record.run(frame)))
 
@@ -222,21 +207,21 @@ class _Compiler(ast.NodeVisitor):
         """Compile an element of an array or a row of a table."""
         whole, index = self.visit(node.value), self.visit(node.slice)
         cost = whole.cost + index.cost + (self._elements if index.vector else 1)
-        if isinstance(whole.type, Table) and isinstance(index.type, Text):
+        if isinstance(whole.type, vt.Table) and isinstance(index.type, vt.Text):
             row = whole.type.row
-            no_row = missing(row)
+            no_row = vt.missing(row)
 
             def read_row(frame: Frame) -> Any:
-                return whole.run(frame).get(strip_padding(index.run(frame)), no_row)
+                return whole.run(frame).get(vt.strip_padding(index.run(frame)), no_row)
 
             return self._load(row, False, cost, read_row)
-        if not isinstance(whole.type, Array) or not isinstance(index.type, Number):
+        if not isinstance(whole.type, vt.Array) or not isinstance(index.type, vt.Number):
             self._refuse(node, f"{whole.type} has no element [{index.type}]")
         element = whole.type.element
-        if index.vector and not isinstance(element, Number | Boolean):
+        if index.vector and not isinstance(element, vt.Number | vt.Boolean):
             self._refuse(node, f"one {element} at a time: the index must be one number")
         pick = arithmetic.elements if index.vector else arithmetic.element
-        absent = missing(element)
+        absent = vt.missing(element)
 
         def read(frame: Frame) -> Any:
             return pick(whole.run(frame), index.run(frame), absent)
@@ -246,10 +231,10 @@ class _Compiler(ast.NodeVisitor):
     def visit_BinOp(self, node: ast.BinOp) -> _Node:
         """Compile arithmetic."""
         parts = [self.visit(node.left), self.visit(node.right)]
-        self._expect(node, Number, parts)
+        self._expect(node, vt.Number, parts)
         kind = promoted([part.type for part in parts])
         if isinstance(node.op, ast.Div | ast.Pow):
-            kind = FLOAT
+            kind = vt.FLOAT
         left, right = (self._as(kind, part) for part in parts)
         compute = arithmetic.ARITHMETIC[type(node.op)]
         return self._node(kind, parts, lambda frame: compute(left.run(frame), right.run(frame)))
@@ -257,7 +242,7 @@ class _Compiler(ast.NodeVisitor):
     def visit_UnaryOp(self, node: ast.UnaryOp) -> _Node:
         """Compile a sign or ``not``."""
         part = self.visit(node.operand)
-        self._expect(node, Boolean if isinstance(node.op, ast.Not) else Number, [part])
+        self._expect(node, vt.Boolean if isinstance(node.op, ast.Not) else vt.Number, [part])
         compute = arithmetic.UNARY[type(node.op)]
         return self._node(part.type, [part], lambda frame: compute(part.run(frame)))
 
@@ -272,26 +257,28 @@ class _Compiler(ast.NodeVisitor):
             results = [check(a, b) for check, a, b in zip(compare, found, found[1:], strict=False)]
             return functools.reduce(operator.and_, results)
 
-        return self._node(BOOLEAN, values, run, work=len(compare))
+        return self._node(vt.BOOLEAN, values, run, work=len(compare))
 
     def visit_BoolOp(self, node: ast.BoolOp) -> _Node:
         """Compile ``and`` or ``or``; all sides are evaluated, which has no visible effect."""
         parts = [self.visit(part) for part in node.values]
-        self._expect(node, Boolean, parts)
+        self._expect(node, vt.Boolean, parts)
         combine = arithmetic.LOGIC[type(node.op)]
         return self._node(
-            BOOLEAN, parts, lambda frame: functools.reduce(combine, [p.run(frame) for p in parts])
+            vt.BOOLEAN,
+            parts,
+            lambda frame: functools.reduce(combine, [p.run(frame) for p in parts]),
         )
 
     def visit_IfExp(self, node: ast.IfExp) -> _Node:
         """Compile a choice: per element if anything is a vector, else of one value."""
         test, then, other = (self.visit(part) for part in (node.test, node.body, node.orelse))
-        self._expect(node.test, Boolean, [test])
+        self._expect(node.test, vt.Boolean, [test])
         kind = self._common(node, then, other)
         yes, no = self._as(kind, then), self._as(kind, other)
         parts = [test, then, other]
         if any(part.vector for part in parts):
-            if not isinstance(kind, Number | Boolean):
+            if not isinstance(kind, vt.Number | vt.Boolean):
                 self._refuse(node, f"one {kind} at a time: the condition must be one boolean")
             return self._node(
                 kind, parts, lambda frame: np.where(test.run(frame), yes.run(frame), no.run(frame))
@@ -301,12 +288,12 @@ class _Compiler(ast.NodeVisitor):
     def visit_List(self, node: ast.List | ast.Tuple) -> _Node:
         """Compile a list of numbers, or of lists of numbers that are equally long."""
         parts = [self.visit(part) for part in node.elts]
-        kinds = [listable(part.type) for part in parts]
+        kinds = [vt.listable(part.type) for part in parts]
         kind = kinds[0] if kinds else None
         if kind is None or kinds != [kind] * len(kinds) or any(part.vector for part in parts):
             self._refuse(node, "a list has numbers, or lists of equally many numbers")
         return self._node(
-            Array(kind, len(parts), fixed=True),
+            vt.Array(kind, len(parts), fixed=True),
             parts,
             lambda frame: np.array([part.run(frame) for part in parts], np.float64),
         )
@@ -331,15 +318,15 @@ class _Compiler(ast.NodeVisitor):
             self._refuse(node, f"{builtin.usage} cannot take ({given})")
         if not builtin.elementwise and any(argument.vector for argument in arguments):
             self._refuse(node, f"{builtin.usage} takes one value, not one per element")
-        if kind != INTEGER:
+        if kind != vt.INTEGER:
             arguments = [
-                self._as(FLOAT, argument) if argument.type == INTEGER else argument
+                self._as(vt.FLOAT, argument) if argument.type == vt.INTEGER else argument
                 for argument in arguments
             ]
         if builtin.draws:
             return self._draw(kind, builtin, arguments)
         compute = builtin.evaluate
-        absent = missing(kind) if isinstance(kind, Record) else None
+        absent = vt.missing(kind) if isinstance(kind, vt.Record) else None
 
         def run(frame: Frame) -> Any:
             value = compute(*[argument.run(frame) for argument in arguments])
@@ -347,7 +334,7 @@ class _Compiler(ast.NodeVisitor):
 
         return self._node(kind, arguments, run, work=builtin.work(types))
 
-    def _draw(self, kind: Type, builtin: Builtin, arguments: list[_Node]) -> _Node:
+    def _draw(self, kind: vt.Type, builtin: Builtin, arguments: list[_Node]) -> _Node:
         """Draw once per element where the scope has vectors, whatever the arguments are."""
         place = next(self._places)
         vectors = self._scope.vectors
@@ -395,55 +382,55 @@ class _Compiler(ast.NodeVisitor):
         kind = self._common(node, one, other)
         compare = arithmetic.COMPARISONS[type(op)]
         match kind:
-            case Array() | Record() | Table():
+            case vt.Array() | vt.Record() | vt.Table():
                 self._refuse(node, f"{kind} cannot be compared")
-            case Boolean() | Text() if not isinstance(op, ast.Eq | ast.NotEq):
+            case vt.Boolean() | vt.Text() if not isinstance(op, ast.Eq | ast.NotEq):
                 self._refuse(node, f"{kind} can only be compared by == and !=")
-            case Text():
-                return lambda a, b: compare(strip_padding(a), strip_padding(b))
-            case Number("float64") if one.type != other.type:
+            case vt.Text():
+                return lambda a, b: compare(vt.strip_padding(a), vt.strip_padding(b))
+            case vt.Number("float64") if one.type != other.type:
                 return lambda a, b: compare(np.float64(a), np.float64(b))
         return compare
 
-    def _common(self, node: ast.AST, one: _Node, other: _Node) -> Type:
+    def _common(self, node: ast.AST, one: _Node, other: _Node) -> vt.Type:
         """Return the type that holds the values of both."""
         match one.type, other.type:
-            case Number(), Number():
+            case vt.Number(), vt.Number():
                 return promoted([one.type, other.type])
-            case Text() as a, Text() as b:
-                return Text(max(a.max_len, b.max_len))
+            case vt.Text() as a, vt.Text() as b:
+                return vt.Text(max(a.max_len, b.max_len))
         if one.type != other.type:
             self._refuse(node, f"{one.type} does not go with {other.type}")
         return one.type
 
-    def _as(self, kind: Type, part: _Node) -> _Node:
+    def _as(self, kind: vt.Type, part: _Node) -> _Node:
         """Convert integers to float64 if ``kind`` is float64."""
-        if kind != FLOAT or part.type == FLOAT:
+        if kind != vt.FLOAT or part.type == vt.FLOAT:
             return part
-        return _Node(FLOAT, part.vector, part.cost, lambda frame: np.float64(part.run(frame)))
+        return _Node(vt.FLOAT, part.vector, part.cost, lambda frame: np.float64(part.run(frame)))
 
     def _constant(self, value: bool | int | float | str) -> _Node:
         match value:
             case bool():
-                return self._node(BOOLEAN, [], lambda _: value)
+                return self._node(vt.BOOLEAN, [], lambda _: value)
             case int():
                 whole = np.int64(value)
-                return self._node(INTEGER, [], lambda _: whole)
+                return self._node(vt.INTEGER, [], lambda _: whole)
             case float():
                 real = np.float64(value)
-                return self._node(FLOAT, [], lambda _: real)
+                return self._node(vt.FLOAT, [], lambda _: real)
             case str():
-                return self._node(Text(len(value)), [], lambda _: value)
+                return self._node(vt.Text(len(value)), [], lambda _: value)
 
-    def _load(self, kind: Type, vector: bool, cost: int, read: Evaluate) -> _Node:
+    def _load(self, kind: vt.Type, vector: bool, cost: int, read: Evaluate) -> _Node:
         """Load a value from the environment, numbers as int64 or float64."""
         convert: Callable[[Any], Any]
         match kind:
-            case Number() if kind.is_integer:
-                kind, convert = INTEGER, arithmetic.int64
-            case Number():
-                kind, convert = FLOAT, arithmetic.float64s if vector else np.float64
-            case Boolean():
+            case vt.Number() if kind.is_integer:
+                kind, convert = vt.INTEGER, arithmetic.int64
+            case vt.Number():
+                kind, convert = vt.FLOAT, arithmetic.float64s if vector else np.float64
+            case vt.Boolean():
                 convert = np.bool_
             case _:
                 return _Node(kind, vector, cost, read)
@@ -451,7 +438,7 @@ class _Compiler(ast.NodeVisitor):
 
     def _node(
         self,
-        kind: Type,
+        kind: vt.Type,
         parts: Sequence[_Node],
         run: Evaluate,
         *,
@@ -463,11 +450,11 @@ class _Compiler(ast.NodeVisitor):
         return _Node(kind, vector, sum(part.cost for part in parts) + width * work, run)
 
     def _expect(
-        self, node: ast.AST, kind: type[Number] | type[Boolean], parts: Sequence[_Node]
+        self, node: ast.AST, kind: type[vt.Number] | type[vt.Boolean], parts: Sequence[_Node]
     ) -> None:
         for part in parts:
             if not isinstance(part.type, kind):
-                expected = "numbers" if kind is Number else "booleans"
+                expected = "numbers" if kind is vt.Number else "booleans"
                 self._refuse(node, f"expected {expected}, found {part.type}")
 
     def _refuse(self, node: ast.AST, what: str) -> NoReturn:

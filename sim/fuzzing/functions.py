@@ -13,24 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from sim.fuzzing.value_types import (
-    BOOLEAN,
-    FLOAT,
-    INTEGER,
-    Array,
-    Number,
-    Table,
-    Text,
-    Type,
-    message_type,
-    strip_padding,
-)
+from sim.fuzzing import value_types as vt
 from sim.middleware.geometry import quaternion_yaw, wrap_angle
 
 EARTH_RADIUS_M = 6_371_008.8  # mean radius of the WGS 84 ellipsoid
 
 Reals = Any  # a float64 or an array of them; the result is of the same kind
-Types = Sequence[Type]
+Types = Sequence[vt.Type]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,16 +44,16 @@ class Builtin:
     """
 
     usage: str
-    result: Callable[[Types], Type | None]
+    result: Callable[[Types], vt.Type | None]
     evaluate: Callable[..., Any]
     elementwise: bool = True
     draws: bool = False
     work: Callable[[Types], int] = lambda types: 1  # noqa: ARG005
 
 
-def promoted(types: Types) -> Number:
+def promoted(types: Types) -> vt.Number:
     """Return the type of arithmetic with numbers of these types."""
-    return INTEGER if all(kind == INTEGER for kind in types) else FLOAT
+    return vt.INTEGER if all(kind == vt.INTEGER for kind in types) else vt.FLOAT
 
 
 def haversine_m(
@@ -178,7 +167,7 @@ def nearest(
     The rows have ``lat`` and ``lon`` [deg]. Of equally distant rows, the one with the first key is
     returned; None if no row has a position.
     """
-    keys = sorted(table.keys() - {strip_padding(exclude)})
+    keys = sorted(table.keys() - {vt.strip_padding(exclude)})
     positions = np.array([(table[key]["lat"], table[key]["lon"]) for key in keys], np.float64)
     distances = haversine_m(latitude, longitude, *positions.reshape(-1, 2).T)
     if not np.isfinite(distances).any():
@@ -186,10 +175,10 @@ def nearest(
     return table[keys[int(np.nanargmin(distances))]]
 
 
-def _numbers(count: int, to: Type | None = None) -> Callable[[Types], Type | None]:
+def _numbers(count: int, to: vt.Type | None = None) -> Callable[[Types], vt.Type | None]:
     """Accept ``count`` numbers; ``to`` is the result, None the type of their arithmetic."""
 
-    def result(types: Types) -> Type | None:
+    def result(types: Types) -> vt.Type | None:
         if len(types) != count or not _all_numbers(types):
             return None
         return to or promoted(types)
@@ -197,48 +186,52 @@ def _numbers(count: int, to: Type | None = None) -> Callable[[Types], Type | Non
     return result
 
 
-def _two_or_more_numbers(types: Types) -> Type | None:
+def _two_or_more_numbers(types: Types) -> vt.Type | None:
     return promoted(types) if len(types) > 1 and _all_numbers(types) else None
 
 
 def _all_numbers(types: Types) -> bool:
-    return all(isinstance(kind, Number) for kind in types)
+    return all(isinstance(kind, vt.Number) for kind in types)
 
 
-def _something_long(types: Types) -> Type | None:
-    return INTEGER if len(types) == 1 and isinstance(types[0], Array | Text | Table) else None
+def _something_long(types: Types) -> vt.Type | None:
+    return (
+        vt.INTEGER
+        if len(types) == 1 and isinstance(types[0], vt.Array | vt.Text | vt.Table)
+        else None
+    )
 
 
-def _quaternion(types: Types) -> Type | None:
-    return FLOAT if [*types] == [message_type("geometry_msgs/msg/Quaternion")] else None
+def _quaternion(types: Types) -> vt.Type | None:
+    return vt.FLOAT if [*types] == [vt.message_type("geometry_msgs/msg/Quaternion")] else None
 
 
-def _point_and_polygon(types: Types) -> Type | None:
+def _point_and_polygon(types: Types) -> vt.Type | None:
     match types:
-        case [Number(), Number(), Array(Array(Number(), 2, True), int())]:
-            return BOOLEAN
+        case [vt.Number(), vt.Number(), vt.Array(vt.Array(vt.Number(), 2, True), int())]:
+            return vt.BOOLEAN
     return None
 
 
 def _corners(types: Types) -> int:
-    return types[2].bound or 0 if isinstance(types[2], Array) else 0
+    return types[2].bound or 0 if isinstance(types[2], vt.Array) else 0
 
 
-def _table_position_key(types: Types) -> Type | None:
+def _table_position_key(types: Types) -> vt.Type | None:
     match types:
-        case [Table() as table, Number(), Number(), Text()] if _all_numbers(
-            [table.row.fields.get(name, BOOLEAN) for name in ("lat", "lon")]
+        case [vt.Table() as table, vt.Number(), vt.Number(), vt.Text()] if _all_numbers(
+            [table.row.fields.get(name, vt.BOOLEAN) for name in ("lat", "lon")]
         ):
             return table.row
     return None
 
 
 def _rows(types: Types) -> int:
-    return types[0].max_size if isinstance(types[0], Table) else 0
+    return types[0].max_size if isinstance(types[0], vt.Table) else 0
 
 
 def _length(value: Any) -> np.int64:
-    return np.int64(len(strip_padding(value) if isinstance(value, str) else value))
+    return np.int64(len(vt.strip_padding(value) if isinstance(value, str) else value))
 
 
 def _draw_uniform(rng: np.random.Generator, n: int | None, low: Reals, high: Reals) -> Reals:
@@ -260,15 +253,15 @@ BUILTINS: Mapping[str, Builtin] = MappingProxyType(
             Builtin("abs(x)", _numbers(1), np.abs),
             Builtin("min(x, y, ...)", _two_or_more_numbers, lambda *xs: reduce(np.minimum, xs)),
             Builtin("max(x, y, ...)", _two_or_more_numbers, lambda *xs: reduce(np.maximum, xs)),
-            Builtin("floor(x)", _numbers(1, FLOAT), np.floor),
-            Builtin("sqrt(x)", _numbers(1, FLOAT), np.sqrt),
-            Builtin("hypot(x, y)", _numbers(2, FLOAT), np.hypot),
-            Builtin("sin(angle)", _numbers(1, FLOAT), np.sin),
-            Builtin("cos(angle)", _numbers(1, FLOAT), np.cos),
-            Builtin("atan2(y, x)", _numbers(2, FLOAT), np.arctan2),
-            Builtin("wrap_angle(angle)", _numbers(1, FLOAT), wrap_angle),
+            Builtin("floor(x)", _numbers(1, vt.FLOAT), np.floor),
+            Builtin("sqrt(x)", _numbers(1, vt.FLOAT), np.sqrt),
+            Builtin("hypot(x, y)", _numbers(2, vt.FLOAT), np.hypot),
+            Builtin("sin(angle)", _numbers(1, vt.FLOAT), np.sin),
+            Builtin("cos(angle)", _numbers(1, vt.FLOAT), np.cos),
+            Builtin("atan2(y, x)", _numbers(2, vt.FLOAT), np.arctan2),
+            Builtin("wrap_angle(angle)", _numbers(1, vt.FLOAT), wrap_angle),
             Builtin("clamp(x, low, high)", _numbers(3), np.clip),
-            Builtin("is_finite(x)", _numbers(1, BOOLEAN), np.isfinite),
+            Builtin("is_finite(x)", _numbers(1, vt.BOOLEAN), np.isfinite),
             Builtin("len(array, text or table)", _something_long, _length, elementwise=False),
             Builtin(
                 "quat_yaw(quaternion)",
@@ -276,12 +269,12 @@ BUILTINS: Mapping[str, Builtin] = MappingProxyType(
                 lambda q: np.float64(quaternion_yaw(q.x, q.y, q.z, q.w)),
                 elementwise=False,
             ),
-            Builtin("haversine_m(lat, lon, to_lat, to_lon)", _numbers(4, FLOAT), haversine_m),
-            Builtin("bearing_deg(lat, lon, to_lat, to_lon)", _numbers(4, FLOAT), bearing_deg),
-            Builtin("offset_lat(lat, bearing, distance)", _numbers(3, FLOAT), offset_lat),
-            Builtin("offset_lon(lat, lon, bearing, distance)", _numbers(4, FLOAT), offset_lon),
-            Builtin("ray_circle(bearing, x, y, radius)", _numbers(4, FLOAT), ray_circle),
-            Builtin("ray_segment(bearing, x1, y1, x2, y2)", _numbers(5, FLOAT), ray_segment),
+            Builtin("haversine_m(lat, lon, to_lat, to_lon)", _numbers(4, vt.FLOAT), haversine_m),
+            Builtin("bearing_deg(lat, lon, to_lat, to_lon)", _numbers(4, vt.FLOAT), bearing_deg),
+            Builtin("offset_lat(lat, bearing, distance)", _numbers(3, vt.FLOAT), offset_lat),
+            Builtin("offset_lon(lat, lon, bearing, distance)", _numbers(4, vt.FLOAT), offset_lon),
+            Builtin("ray_circle(bearing, x, y, radius)", _numbers(4, vt.FLOAT), ray_circle),
+            Builtin("ray_segment(bearing, x1, y1, x2, y2)", _numbers(5, vt.FLOAT), ray_segment),
             Builtin(
                 "in_polygon(x, y, [[x1, y1], ...])", _point_and_polygon, in_polygon, work=_corners
             ),
@@ -292,9 +285,9 @@ BUILTINS: Mapping[str, Builtin] = MappingProxyType(
                 elementwise=False,
                 work=_rows,
             ),
-            Builtin("uniform(low, high)", _numbers(2, FLOAT), _draw_uniform, draws=True),
-            Builtin("gauss(mean, sigma)", _numbers(2, FLOAT), _draw_normal, draws=True),
-            Builtin("bernoulli(share)", _numbers(1, BOOLEAN), _draw_bernoulli, draws=True),
+            Builtin("uniform(low, high)", _numbers(2, vt.FLOAT), _draw_uniform, draws=True),
+            Builtin("gauss(mean, sigma)", _numbers(2, vt.FLOAT), _draw_normal, draws=True),
+            Builtin("bernoulli(share)", _numbers(1, vt.BOOLEAN), _draw_bernoulli, draws=True),
         )
     }
 )

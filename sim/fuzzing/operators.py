@@ -8,27 +8,12 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from sim.fuzzing import output_operators as outputs
+from sim.fuzzing import value_operators as values
 from sim.fuzzing.compile_context import CompileContext, Spec, Target
-from sim.fuzzing.output_operators import (
-    compile_delay,
-    compile_drop,
-    compile_duplicate,
-    compile_emit,
-    compile_playback,
-)
 from sim.fuzzing.scenario import Key
 from sim.fuzzing.state_operators import compile_store
 from sim.fuzzing.step import Operator, Step
-from sim.fuzzing.value_operators import (
-    LOOP_WORK,
-    compile_arithmetic,
-    compile_map_array,
-    compile_mutate,
-    compile_noise,
-    compile_remove_where,
-    compile_set,
-    with_names,
-)
 from sim.fuzzing.value_types import Message
 
 
@@ -49,7 +34,7 @@ def _compile_for_each(spec: Spec, key: Key, context: CompileContext) -> Operator
     do = compile_operators(spec["do"], (*key, "do"), inner, ON_ELEMENTS)
 
     def changed(step: Step, i: int, element: Any) -> Any:
-        env = with_names(step.env, names, element, i)
+        env = values.with_names(step.env, names, element, i)
         inner = dataclasses.replace(
             step, env=env, original=element, message=element, notes=[], branch=i + 1
         )
@@ -67,25 +52,27 @@ def _compile_for_each(spec: Spec, key: Key, context: CompileContext) -> Operator
 
     terms = [term for _, term in let] + ([when] if when else [])
     work = 1 + sum(term.cost for term in terms) + sum(operator.cost for operator in do)
-    return Operator(apply, LOOP_WORK * work * context.width(target.field.type))
+    return Operator(apply, values.LOOP_WORK * work * context.width(target.field.type))
 
 
 OPERATORS: Mapping[str, Callable[[Spec, Key, CompileContext], Operator]] = {
-    "set": compile_set,
-    "add": partial(compile_arithmetic, amount="by", combine=lambda x, by, _: x + by),
-    "scale": partial(compile_arithmetic, amount="by", combine=lambda x, by, _: x * by),
-    "noise": compile_noise,
-    "drift": partial(compile_arithmetic, amount="rate", combine=lambda x, rate, t: x + rate * t),
-    "map_array": compile_map_array,
+    "set": values.compile_set,
+    "add": partial(values.compile_arithmetic, amount="by", combine=lambda x, by, _: x + by),
+    "scale": partial(values.compile_arithmetic, amount="by", combine=lambda x, by, _: x * by),
+    "noise": values.compile_noise,
+    "drift": partial(
+        values.compile_arithmetic, amount="rate", combine=lambda x, rate, t: x + rate * t
+    ),
+    "map_array": values.compile_map_array,
     "for_each": _compile_for_each,
-    "remove_where": compile_remove_where,
-    "mutate": compile_mutate,
-    "drop": compile_drop,
-    "delay": compile_delay,
-    "duplicate": compile_duplicate,
-    "replay": compile_playback,
-    "freeze": compile_playback,
-    "emit": compile_emit,
+    "remove_where": values.compile_remove_where,
+    "mutate": values.compile_mutate,
+    "drop": outputs.compile_drop,
+    "delay": outputs.compile_delay,
+    "duplicate": outputs.compile_duplicate,
+    "replay": outputs.compile_playback,
+    "freeze": outputs.compile_playback,
+    "emit": outputs.compile_emit,
     "store": compile_store,
 }
 ON_ELEMENTS = ("set", "add", "scale", "noise", "drift", "map_array")

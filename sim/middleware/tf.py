@@ -12,18 +12,9 @@ from oracle_pipeline.bags.jit import jit
 from oracle_pipeline.bags.template import STAMP, Template
 from oracle_pipeline.bags.types import message_class
 from sim.arrays import Floats, Ints
-from sim.middleware import qos
+from sim.middleware import geometry, qos
 from sim.middleware.domain import Domain
 from sim.middleware.executor import SECOND
-from sim.middleware.geometry import (
-    Planar,
-    Pose2D,
-    composed,
-    inverted,
-    quaternion_yaw,
-    wrapped,
-    yaw_quaternion,
-)
 from sim.middleware.node import Node
 from sim.middleware.stamps import header, stamp_ns
 
@@ -67,12 +58,12 @@ class TransformBuffer:
             count = _add(
                 self._links, self._times, self._poses, child, parent, int(static),
                 stamp_ns(stamped.header.stamp), float(translation.x), float(translation.y),
-                quaternion_yaw(q.x, q.y, q.z, q.w),
+                geometry.quaternion_yaw(q.x, q.y, q.z, q.w),
             )  # fmt: skip
             if count == self._times.shape[1]:
                 self._make_room(1, 2)
 
-    def lookup(self, target: str, source: str, time_ns: int | None = None) -> Pose2D:
+    def lookup(self, target: str, source: str, time_ns: int | None = None) -> geometry.Pose2D:
         """Return the transform that takes coordinates in ``source`` into ``target``.
 
         Parameters
@@ -93,7 +84,7 @@ class TransformBuffer:
             self._links, self._times, self._poses, above, below, at_ns
         )
         if unknown == _NONE:
-            return Pose2D(x, y, yaw)
+            return geometry.Pose2D(x, y, yaw)
         if unknown == _UNCONNECTED or time_ns is None:
             raise TransformError(f"frames {target} and {source} are not connected")
         frames, (parent, count, _) = list(self._rows), self._links[unknown].tolist()
@@ -168,7 +159,7 @@ def _copy(times: Ints, poses: Floats, source: int, target: int) -> None:
 @jit
 def _transform(
     links: Ints, times: Ints, poses: Floats, target: int, source: int, time_ns: int
-) -> tuple[Planar, int]:
+) -> tuple[geometry.Planar, int]:
     """Return the pose of the source in the target, and the frame that is unknown, if any."""
     upper, upper_root, unknown = _to_root(links, times, poses, target, time_ns)
     if unknown != _NONE:
@@ -176,13 +167,13 @@ def _transform(
     lower, lower_root, unknown = _to_root(links, times, poses, source, time_ns)
     if unknown == _NONE and upper_root != lower_root:
         unknown = _UNCONNECTED
-    return composed(inverted(upper), lower), unknown
+    return geometry.composed(geometry.inverted(upper), lower), unknown
 
 
 @jit
 def _to_root(
     links: Ints, times: Ints, poses: Floats, frame: int, time_ns: int
-) -> tuple[Planar, int, int]:
+) -> tuple[geometry.Planar, int, int]:
     """Return a frame's pose in the root above it, the root, and the frame that is unknown."""
     pose = (0.0, 0.0, 0.0)
     for _ in range(len(links)):
@@ -191,13 +182,13 @@ def _to_root(
         known, above = _at(links[frame], times[frame], poses[frame], time_ns)
         if not known:
             return pose, frame, frame
-        pose = composed(above, pose)
+        pose = geometry.composed(above, pose)
         frame = links[frame, _PARENT]
     return pose, frame, _UNCONNECTED  # the frames form a circle
 
 
 @jit
-def _at(link: Ints, times: Ints, poses: Floats, time_ns: int) -> tuple[bool, Planar]:
+def _at(link: Ints, times: Ints, poses: Floats, time_ns: int) -> tuple[bool, geometry.Planar]:
     """Return whether a link is known at a time, and its pose then: between samples, linear."""
     index = last = link[_COUNT] - 1
     if time_ns != _LATEST and not link[_STATIC]:
@@ -210,8 +201,8 @@ def _at(link: Ints, times: Ints, poses: Floats, time_ns: int) -> tuple[bool, Pla
         return True, (x, y, yaw)
     next_x, next_y, next_yaw = poses[index + 1]
     share = (time_ns - times[index]) / (times[index + 1] - times[index])
-    turn = share * wrapped(next_yaw - yaw)
-    return True, (x + share * (next_x - x), y + share * (next_y - y), wrapped(yaw + turn))
+    turn = share * geometry.wrapped(next_yaw - yaw)
+    return True, (x + share * (next_x - x), y + share * (next_y - y), geometry.wrapped(yaw + turn))
 
 
 class TransformListener(Node):
@@ -256,9 +247,11 @@ def transforms_template(transforms: list[Any]) -> Template:
     return Template(_TFMessage(transforms), _TF, fields)
 
 
-def planar_transform(time_ns: int, parent: str, child: str, pose: Pose2D, z: float = 0.0) -> Any:
+def planar_transform(
+    time_ns: int, parent: str, child: str, pose: geometry.Pose2D, z: float = 0.0
+) -> Any:
     """Return a ``TransformStamped`` of a planar pose, ``z`` above the parent [m]."""
-    rotation = _Quaternion(*yaw_quaternion(pose.yaw))
+    rotation = _Quaternion(*geometry.yaw_quaternion(pose.yaw))
     return _TransformStamped(
         header(time_ns, parent), child, _Transform(_Vector3(pose.x, pose.y, z), rotation)
     )

@@ -11,18 +11,8 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit, jit_unchecked
 from sim.arrays import Floats
+from sim.nav2 import dwb_sampling as sampling
 from sim.nav2.costmap import CostGrid
-from sim.nav2.dwb_sampling import (
-    Parameters,
-    Start,
-    ends,
-    headings,
-    last_yaw,
-    most_poses,
-    roll,
-    step_count,
-    twists,
-)
 from sim.nav2.paths import Poses
 
 INSCRIBED = 253  # from this cost on the robot's centre must not be in a cell; 255 is unknown
@@ -154,14 +144,16 @@ def obstacle_cost(grid: CostGrid, rollout: Poses) -> int:
 
 
 @jit
-def nose(parameters: Parameters, yaw: float) -> tuple[float, float]:
+def nose(parameters: sampling.Parameters, yaw: float) -> tuple[float, float]:
     """Return the position of the point in front of the robot, relative to the robot [m]."""
     distance = parameters.forward_point_distance
     return distance * math.cos(yaw), distance * math.sin(yaw)
 
 
 @jit
-def rotate_to_goal(parameters: Parameters, critics: Critics, v: float, yaw: float) -> float:
+def rotate_to_goal(
+    parameters: sampling.Parameters, critics: Critics, v: float, yaw: float
+) -> float:
     """Return the score near the goal: first for slowing down, then for facing the goal's yaw."""
     if not (critics.slowing or critics.rotating):
         return 0.0
@@ -178,7 +170,7 @@ def _is_at_border(along: float) -> bool:
 
 
 @jit
-def search(start: Start, grid: CostGrid, critics: Critics) -> tuple[float, float, Poses]:
+def search(start: sampling.Start, grid: CostGrid, critics: Critics) -> tuple[float, float, Poses]:
     """Return the legal twist with the lowest score, the first of equals, and its rollout.
 
     The twist is NaN, and the rollout empty, if there is none.
@@ -188,8 +180,8 @@ def search(start: Start, grid: CostGrid, critics: Critics) -> tuple[float, float
     the next, until one is legal.
     """
     parameters, _, velocity = start
-    forward, turning = twists(parameters, velocity)
-    rollout = np.empty((most_poses(parameters, forward, turning), 3))
+    forward, turning = sampling.twists(parameters, velocity)
+    rollout = np.empty((sampling.most_poses(parameters, forward, turning), 3))
     if critics.goal_x < 0:
         return math.nan, math.nan, rollout[:0]
     totals = _totals(start, grid, critics, forward, turning, rollout)
@@ -198,7 +190,7 @@ def search(start: Start, grid: CostGrid, critics: Critics) -> tuple[float, float
         if totals[index] == math.inf:
             return math.nan, math.nan, rollout[:0]
         v, w = forward[index // len(turning)], turning[index % len(turning)]
-        length = roll(start, (v, w), rollout)
+        length = sampling.roll(start, (v, w), rollout)
         if obstacle_cost(grid, rollout[:length]) >= 0:
             return v, w, rollout[:length]
         totals[index] = math.inf
@@ -206,7 +198,12 @@ def search(start: Start, grid: CostGrid, critics: Critics) -> tuple[float, float
 
 @jit_unchecked
 def _totals(
-    start: Start, grid: CostGrid, critics: Critics, forward: Floats, turning: Floats, rollout: Poses
+    start: sampling.Start,
+    grid: CostGrid,
+    critics: Critics,
+    forward: Floats,
+    turning: Floats,
+    rollout: Poses,
 ) -> Floats:
     """Return the score of each twist, infinite where the end of its rollout is illegal.
 
@@ -217,7 +214,7 @@ def _totals(
     forward = forward[: _slow_enough(critics, forward)]
     at_least = np.empty(len(forward), np.int64)  # steps, for the forward speed alone
     for i in range(len(forward)):
-        at_least[i] = step_count(parameters, (forward[i], 0.0))
+        at_least[i] = sampling.step_count(parameters, (forward[i], 0.0))
     way, points = np.empty((len(rollout) - 1, 4)), np.empty((len(forward), 4))
     nose = parameters.forward_point_distance
     near, yaw = critics.slowing or critics.rotating, 0.0
@@ -225,18 +222,18 @@ def _totals(
         w = turning[j]
         if critics.turn * w < 0.0:
             continue
-        steps = step_count(parameters, (0.0, w))
+        steps = sampling.step_count(parameters, (0.0, w))
         last = 0
         while last < len(forward):  # speeds with equally many steps at once
             first, count = last, max(steps, at_least[last])
             while last < len(forward) and max(steps, at_least[last]) == count:
                 last += 1
             v = forward[first:last]
-            x, y = headings(start, w, count, way)
-            ends(start, v, count, way, (nose * x, nose * y), points)
+            x, y = sampling.headings(start, w, count, way)
+            sampling.ends(start, v, count, way, (nose * x, nose * y), points)
             _take_to_cells(start, grid, v, w, points, rollout)
             if near:
-                yaw = last_yaw(start, w, count)
+                yaw = sampling.last_yaw(start, w, count)
             _score(parameters, grid, critics, v, w, yaw, points, totals[first:last, j])
     return totals.ravel()
 
@@ -253,7 +250,7 @@ def _slow_enough(critics: Critics, forward: Floats) -> int:
 
 @jit_unchecked
 def _take_to_cells(
-    start: Start, grid: CostGrid, forward: Floats, w: float, points: Floats, rollout: Poses
+    start: sampling.Start, grid: CostGrid, forward: Floats, w: float, points: Floats, rollout: Poses
 ) -> None:
     """Turn metres into cells; roll out where rounding could put a point into another cell."""
     origin_x, origin_y, per_metre = grid.origin_x, grid.origin_y, 1.0 / grid.resolution
@@ -267,7 +264,7 @@ def _take_to_cells(
             or _is_at_border(left_ahead)
             or _is_at_border(low_ahead)
         ):
-            end = rollout[roll(start, (forward[i], w), rollout) - 1]
+            end = rollout[sampling.roll(start, (forward[i], w), rollout) - 1]
             nose_x, nose_y = nose(start.parameters, end[2])
             cells = _cells_of(grid)
             left, low = _in_cells(cells, end[0], end[1])
@@ -278,7 +275,7 @@ def _take_to_cells(
 
 @jit_unchecked
 def _score(
-    parameters: Parameters,
+    parameters: sampling.Parameters,
     grid: CostGrid,
     critics: Critics,
     forward: Floats,

@@ -17,9 +17,12 @@ from tests.recorded_runs import ONE_GOAL
 MODE = "lidar_passthrough_odom"
 
 
-@pytest.mark.slow
+@pytest.mark.slow(5)
+@pytest.mark.parametrize(
+    ("mode", "after_s"), [(MODE, 20), ("arm_normal", 5), ("cf_normal", 5), ("atc_normal", 5)]
+)
 def test_serving_does_not_change_a_run_and_puts_its_graph_on_dds(
-    domain, eventually, recorded_run, tmp_path
+    mode, after_s, domain, eventually, recorded_run, tmp_path
 ):
     compared = []
 
@@ -29,7 +32,7 @@ def test_serving_does_not_change_a_run_and_puts_its_graph_on_dds(
 
         def look(now_ns):
             served.look(now_ns)
-            if now_ns > 20 * SECOND and not compared:
+            if now_ns > after_s * SECOND and not compared:
                 expected = graph_of(run.domain)
                 eventually(lambda: discovery.update() or graph_on(discovery) == expected)
                 compared.append(expected)
@@ -37,9 +40,9 @@ def test_serving_does_not_change_a_run_and_puts_its_graph_on_dds(
         run.domain.executor.accompany(look)
 
     served = record_run(
-        recipe_for(MODE, 0, ONE_GOAL), RunDirectory(tmp_path, MODE, 0), accompany=accompany
+        recipe_for(mode, 0, ONE_GOAL), RunDirectory(tmp_path, mode, 0), accompany=accompany
     )
-    assert served.content_hash == recorded_run(MODE).manifest().content_hash
+    assert served.content_hash == recorded_run(mode).manifest().content_hash
     assert compared
 
 

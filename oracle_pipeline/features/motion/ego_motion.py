@@ -6,6 +6,7 @@ do not matter. Sources are found by message type, not by topic name. ``kinematic
 tracks.
 """
 
+import functools
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -214,29 +215,20 @@ def _keep_steered(messages: Any) -> tuple[Floats, Floats, Floats]:
 
 
 MOVING = Request(keep_transforms, role=TRANSFORMS, dtype=object, optional=True, many=True)
+_track = functools.partial(Request, optional=True, many=True)
 MOTION_TOPICS = SETUP_TOPICS | {
     "scans": replace(SCANS, optional=True),
-    "driven": Request(_keep_driven, msgtype="nav_msgs/msg/Odometry", optional=True, many=True),
-    "places": Request(
-        _keep_place, msgtype="geometry_msgs/msg/PoseStamped", optional=True, many=True
-    ),
-    "bare_places": Request(
-        _keep_bare_place, msgtype="geometry_msgs/msg/Pose", optional=True, many=True
-    ),
-    "fixes": Request(_keep_fix, msgtype="sensor_msgs/msg/NavSatFix", optional=True, many=True),
-    "inertial": Request(_keep_inertial, role=IMU, every_s=_SAMPLED_S, optional=True, many=True),
+    "driven": _track(_keep_driven, msgtype="nav_msgs/msg/Odometry"),
+    "places": _track(_keep_place, msgtype="geometry_msgs/msg/PoseStamped"),
+    "bare_places": _track(_keep_bare_place, msgtype="geometry_msgs/msg/Pose"),
+    "fixes": _track(_keep_fix, msgtype="sensor_msgs/msg/NavSatFix"),
+    "inertial": _track(_keep_inertial, role=IMU, every_s=_SAMPLED_S),
     "inertial_frames": Request(_keep_frame, role=IMU, every_s=1e4, dtype=object, optional=True),
-    "joints": Request(
-        _keep_joints, role=roles.JOINTS, dtype=object, every_s=_SAMPLED_S, optional=True, many=True
-    ),
+    "joints": _track(_keep_joints, role=roles.JOINTS, dtype=object, every_s=_SAMPLED_S),
     "transforms": MOVING,
-    "commands": Request(
-        keep_command, msgtype="geometry_msgs/msg/Twist*", optional=True, many=True
-    ),
-    "steered": Request(
-        _keep_steered, msgtype="ackermann_msgs/msg/AckermannDrive*", optional=True, many=True
-    ),
-}  # fmt: skip
+    "commands": _track(keep_command, msgtype="geometry_msgs/msg/Twist*"),
+    "steered": _track(_keep_steered, msgtype="ackermann_msgs/msg/AckermannDrive*"),
+}
 
 
 class MovingTransform(NamedTuple):

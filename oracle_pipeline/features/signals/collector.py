@@ -23,6 +23,7 @@ MOST_BYTES = 32 * 2**20  # of the messages of a topic that are decoded; the othe
 MOST_MESSAGES = 20_000  # of a topic that are decoded
 _MOST_WAITING = 4 * 2**20  # bytes of a topic's messages that wait to be decoded together
 _OF_THE_MIDDLEWARE = "rcl_interfaces/"  # types of logs and of parameters
+PAIRED = 0.25  # least share of messages right after another; fewer tell little of changes
 _WHOLE_SHARE = 0.9  # of the messages of a topic; if fewer are whole, its type is wrong
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -36,6 +37,7 @@ class Signals(NamedTuple):
     units: tuple[str, ...]  # empty if unknown
     times_ns: NDArray[np.int64]  # ascending, since the start of the recording
     values: Floats  # shape (n, n_names)
+    adjacent: NDArray[np.bool_] | None = None  # to the one before; None if all are
 
 
 class _Topic:
@@ -47,7 +49,7 @@ class _Topic:
         self._store = bag.typestore(topic.msgtype)
         self._decode = bag.decoder(topic.name)
         self._is_cdr = topic.encoding != "ros1"
-        self._every = max(1, -(-topic.count // MOST_MESSAGES))
+        self.every = max(1, -(-topic.count // MOST_MESSAGES))
         self._count = topic.count
         self._passed = self._tried = self._whole = self._held = 0
         self._waiting: list[bytes] = []
@@ -58,8 +60,9 @@ class _Topic:
         """Take the next messages; `first` is the number of the batch's first message."""
         if not self._passed:
             mean = float(batch.sizes[rows].mean())
-            self._every = max(self._every, int(-(-self._count * mean // MOST_BYTES)))
-        chosen = rows[-self._passed % self._every :: self._every]
+            self.every = max(self.every, int(-(-self._count * mean // MOST_BYTES)))
+        # Pairs, since a change over many messages is larger than that from one to the next.
+        chosen = rows[(self._passed + np.arange(len(rows))) % (2 * self.every) < 2]
         self._passed += len(rows)
         chosen = chosen[batch.sizes[chosen] <= LARGEST_DECODED]
         self._waiting += batch.messages(chosen)
@@ -165,14 +168,18 @@ class SignalCollector:
         left = MOST_SIGNALS
         cut: list[str] = []
         for number in sorted(self._numbers, key=self._order):
-            name = self._names[number]
-            for numbers in self._topics[number].numbers() if number in self._topics else ():
+            name, rows = self._names[number], np.concatenate(self._numbers[number])
+            topic = self._topics.get(number)
+            for numbers in topic.numbers() if topic else ():
                 if len(numbers.names) > left:
                     cut.append(name)
                 if left:
-                    found.append(_in_time(name, numbers, times_ns, left))
-                    left -= len(found[-1].names)
-            found.append(_periods(name, times_ns[np.concatenate(self._numbers[number])]))
+                    signals = _in_time(name, numbers, times_ns, left)
+                    if topic and topic.every > 1:
+                        signals = signals._replace(adjacent=_adjacent(rows, numbers.rows))
+                    found.append(signals)
+                    left -= len(signals.names)
+            found.append(_periods(name, times_ns[rows]))
         if topics := list(dict.fromkeys(cut)):
             self.notes.append(f"{CUT}; some of {join_first(topics)} are left out.")
         return sorted(found, key=lambda signals: signals.topic)
@@ -204,6 +211,12 @@ def _periods(topic: str, times_ns: NDArray[np.int64]) -> Signals:
     """Return the time between the messages of a topic as a signal [s]."""
     in_order = np.sort(times_ns)
     return Signals(topic, ("period",), ("s",), in_order[1:], np.diff(in_order)[:, None] * 1e-9)
+
+
+def _adjacent(of_topic: Rows, chosen: Rows) -> NDArray[np.bool_] | None:
+    """Return which of the chosen messages of a topic came right after another; None if few."""
+    adjacent = np.diff(np.searchsorted(of_topic, chosen), prepend=-2) == 1
+    return adjacent if adjacent.mean() > PAIRED else None
 
 
 def _in_time(topic: str, numbers: Numbers, times_ns: NDArray[np.int64], most: int) -> Signals:

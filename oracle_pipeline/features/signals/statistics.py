@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,8 @@ OF_STEPS = ("change", "autocorrelation", "held")  # others where messages are lo
 _LEVELS = [0, 2, 3]  # places of mean, minimum and maximum
 _ROWS_OF_WINDOW = [OF_RUN.index(statistic) for statistic in OF_WINDOW]
 _COUNTED = {"seq", "count", "counter", "timestamp", "time", "ticks"}  # last words of names
+
+Adjacent: TypeAlias = NDArray[np.bool_] | None  # to the number before; None if all are
 
 
 class SignalTable:
@@ -68,10 +71,7 @@ class SignalTable:
         """Return the statistics of a span by column; NaN where a signal has too few numbers."""
         rows = _ROWS_OF_WINDOW if per_window else slice(None)
         found = [
-            _within_a_turn(
-                _statistics(each.values[span.slice_of(each.times_ns)], of_run=not per_window),
-                periods,
-            )[rows]
+            _within_a_turn(_statistics(*_within(span, each), of_run=not per_window), periods)[rows]
             for each, periods in zip(self._signals, self._periods, strict=True)
         ]
         numbers = np.concatenate([each.T.ravel() for each in found]) if found else np.empty(0)
@@ -106,8 +106,8 @@ def _as_they_are(signals: Signals) -> tuple[Signals, Floats]:
                 continue
         found.append((name, unit, column, period))
     names, units, columns, periods = zip(*found, strict=True)
-    values = np.column_stack(columns)
-    return Signals(signals.topic, names, units, signals.times_ns, values), np.array(periods)
+    whole = signals._replace(names=names, units=units, values=np.column_stack(columns))
+    return whole, np.array(periods)
 
 
 def _within_a_turn(found: Floats, periods: Floats) -> Floats:
@@ -130,7 +130,15 @@ def _rates(values: Floats, times_ns: NDArray[np.int64]) -> Floats:
     return rates
 
 
-def _statistics(values: Floats, *, of_run: bool) -> Floats:
+def _within(span: Span, signals: Signals) -> tuple[Floats, Adjacent]:
+    """Return the numbers of a span, and which of them are adjacent to the one before."""
+    part = span.slice_of(signals.times_ns)
+    adjacent = None if signals.adjacent is None else signals.adjacent[part]
+    tells = adjacent is not None and adjacent[1:].any()
+    return signals.values[part], adjacent if tells else None
+
+
+def _statistics(values: Floats, adjacent: Adjacent, *, of_run: bool) -> Floats:
     """Return the statistics of each column, shape (len(OF_RUN), n_columns)."""
     found = np.full((len(OF_RUN), values.shape[1]), np.nan)
     if not len(values):
@@ -138,17 +146,19 @@ def _statistics(values: Floats, *, of_run: bool) -> Floats:
     finite = np.isfinite(values)
     found[-1] = 1.0 - finite.mean(axis=0)
     whole = finite.all(axis=0)
-    found[:-1, whole] = _of_finite(values[:, whole], of_run)
+    found[:-1, whole] = _of_finite(values[:, whole], adjacent, of_run)
     for j in np.flatnonzero(~whole & finite.any(axis=0)).tolist():
-        found[:-1, j] = _of_finite(values[finite[:, j], j][:, np.newaxis], of_run)[:, 0]
+        rows = finite[:, j]
+        near = None if adjacent is None else adjacent[rows]
+        found[:-1, j] = _of_finite(values[rows, j][:, np.newaxis], near, of_run)[:, 0]
     return found
 
 
-def _of_finite(values: Floats, of_run: bool) -> Floats:
+def _of_finite(values: Floats, adjacent: Adjacent, of_run: bool) -> Floats:
     """Return all statistics but the last of columns of finite numbers.
 
     A few numbers have a level only, and one has only a mean, so that what is published once counts
-    too. The last two are of runs only.
+    too. The last two are of runs only. Change and autocorrelation are those of adjacent messages.
     """
     mean, low, high = values.mean(axis=0), values.min(axis=0), values.max(axis=0)
     unknown = np.full(len(mean), np.nan)
@@ -157,13 +167,15 @@ def _of_finite(values: Floats, of_run: bool) -> Floats:
         return np.stack([mean, unknown, *ends, *[unknown] * 3])
     steps, centred = values[1:] - values[:-1], values - mean
     squares = (centred * centred).mean(axis=0)
-    deviation, change = np.sqrt(squares), np.abs(steps).mean(axis=0)
+    near = slice(None) if adjacent is None else adjacent[1:]
+    deviation, change = np.sqrt(squares), np.abs(steps[near]).mean(axis=0)
     is_constant = deviation <= ROUNDING * np.maximum(np.abs(low), np.abs(high))
     spread, changes = np.where(is_constant, 0.0, [deviation, change])
     if not of_run:
         return np.stack([mean, spread, low, high, changes, *[unknown] * 2])
     with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = (centred[1:] * centred[:-1]).sum(axis=0) / (squares * len(values))
+        products = (centred[1:] * centred[:-1])[near]
+        correlation = products.sum(axis=0) / (squares * (len(products) + 1))
     correlation = np.where(is_constant, 1.0, correlation)
     held = np.array([*_held(steps)])
     return np.stack([mean, spread, low, high, changes, correlation, held])

@@ -14,8 +14,8 @@ from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.datasets import signal_columns
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.features.engine.spans import Span
-from oracle_pipeline.features.signals.collector import CUT, MOST_SIGNALS, Signals
-from oracle_pipeline.features.signals.statistics import FEWEST_HELD, OF_RUN, SignalTable
+from oracle_pipeline.features.signals.collector import CUT, MOST_MESSAGES, MOST_SIGNALS, Signals
+from oracle_pipeline.features.signals.statistics import FEWEST_HELD, OF_RUN, OF_STEPS, SignalTable
 from oracle_pipeline.opened_run import open_run
 from tests.oracle_pipeline.features.conftest import write_bag
 from tests.oracle_pipeline.features.scenery import header
@@ -71,6 +71,19 @@ def test_statistics_are_those_of_numpy(tmp_path_factory, seed, scale, level):
     assert set(expected) == set(OF_RUN)
     for statistic, value in expected.items():
         assert found[f"signals./log/a.{statistic}"] == pytest.approx(value, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("statistic", OF_STEPS)
+def test_steps_do_not_depend_on_how_many_messages_are_passed_over(tmp_path, statistic):
+    """An hour of a fast topic is not decoded whole."""
+    found = []
+    for times in (0.8, 3.5):
+        time_s = np.arange(int(times * MOST_MESSAGES)) * 0.002
+        values = np.sin(100.0 * time_s) + 0.01 * np.random.default_rng(0).normal(size=len(time_s))
+        path = tmp_path / f"log{times}.csv"
+        pd.DataFrame({"time": time_s, "a": values}).to_csv(path, index=False)
+        found.append(signals_of(path)[f"signals./log/a.{statistic}"])
+    assert found[1] == pytest.approx(found[0], rel=0.02, abs=0.001)
 
 
 def test_angle_that_turns_has_no_jump(tmp_path):

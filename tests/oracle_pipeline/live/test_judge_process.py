@@ -13,7 +13,7 @@ import pytest
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.protocol import INTERVAL_S
 from oracle_pipeline.bags.reader import RawMessage
-from oracle_pipeline.datasets import WINDOW_START, feature_columns
+from oracle_pipeline.datasets import WINDOW_START, feature_columns, is_lag, signal_columns
 from oracle_pipeline.features import build_manager, extract
 from oracle_pipeline.features.extraction import extract_window
 from oracle_pipeline.graphs.intervals import Interval
@@ -108,7 +108,7 @@ def windows_as_they_end(run, manager, context_s):
             if graphs and end_s >= graphs[0].start_s + INTERVAL_S:
                 recent.add_graph(graphs.pop(0))
             ended = recent.until(run.bag.start_ns, end_ns)
-            row, carried = extract_window(ended, manager, end_s - WINDOW_S, carried)
+            row, carried = extract_window(ended, manager, end_s - WINDOW_S, carried, signals=True)
             rows.append(row)
             fresh, end_s = [], end_s + HOP_S
         fresh.append(message)
@@ -137,6 +137,13 @@ def test_features_of_live_windows_are_those_of_the_whole_recording(both):
             np.testing.assert_allclose(
                 live[column], whole[column], rtol=1e-6, atol=1e-9, err_msg=column
             )
+
+
+def test_signals_of_live_windows_are_those_of_the_whole_recording(both):
+    live, whole, _ = both
+    signals = [column for column in signal_columns(whole) if not is_lag(column.rpartition(".")[0])]
+    assert len(signals) > 500
+    np.testing.assert_allclose(live[signals], whole[signals], rtol=1e-6, atol=1e-9)
 
 
 def test_the_roles_that_a_card_was_learned_with_count(recorded_run):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -9,7 +10,14 @@ from oracle_pipeline.datasets import feature_columns, feature_floors
 from oracle_pipeline.detectors import panel
 from oracle_pipeline.scoring.learning import learned_scorer
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
-from oracle_pipeline.scoring.run_scorer import TOP_FEATURES, TOP_WINDOWS, Design, RunScorer
+from oracle_pipeline.scoring.run_scorer import (
+    OF_FEATURES,
+    TOP_FEATURES,
+    TOP_WINDOWS,
+    WELL_KNOWN,
+    Design,
+    RunScorer,
+)  # fmt: skip
 from tests.oracle_pipeline.datasets.synthetic import campaign
 
 FEATURES, WINDOWS, _ = campaign(20, 0.0, 0, {"lidar_passthrough": "normal"})
@@ -29,7 +37,7 @@ def beyond(windows, scorer, times):
     window = windows.iloc[[0]].copy()
     for name in CHANGED:
         place = scaler.kept_.index(name)
-        reach = times * scorer.reach_[place]
+        reach = times * scorer.reach_["windows"][place]
         window[name] = scaler.center_[place] + reach * scaler.scale_[place]
     return window
 
@@ -49,6 +57,26 @@ def test_a_change_of_few_features_is_not_lost_among_many_others(times, others):
     windows = pd.concat([WINDOWS, more], axis=1)
     scorer = fitted(windows)
     np.testing.assert_allclose(scorer.alarm_scores(beyond(windows, scorer, times)), times)
+
+
+@pytest.mark.parametrize("known", [WELL_KNOWN - 1, WELL_KNOWN])
+def test_signals_raise_alarms_where_few_features_know_the_robot(known):
+    rng, count = np.random.default_rng(0), len(WINDOWS)
+    columns = [f"motion.feature{n}" for n in range(known)]
+    signals = ["signals./arm/elbow.mean", "signals./arm/wrist.mean", "signals./arm/wrist.std"]
+    values = rng.normal(size=(count, known + len(signals)))
+    table = WINDOWS[["run_id", "window_start_s"]].join(
+        pd.DataFrame(values, WINDOWS.index, [*columns, *signals])
+    )
+    levels = (*OF_FEATURES, "signal windows")
+    design = Design(panel(0)["mahalanobis"], [], columns, {}, (), signals, levels)
+    scorer = RunScorer(design).fit(MeasuredRuns.ordered(FEATURES, table))
+    stuck = table.iloc[[0]].copy()
+    stuck[signals] += 100.0
+    before, after = (scorer.alarm_scores(each)[0] for each in (table.iloc[[0]], stuck))
+    assert (after > 5.0) if known < WELL_KNOWN else (after == before)
+    families = scorer.unusual_families(stuck)[0]
+    assert (families == ["/arm"]) if known < WELL_KNOWN else ("/arm" not in families)
 
 
 def test_what_leaves_its_range_is_not_hidden_by_a_hundred_signals_that_scatter():
