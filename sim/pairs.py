@@ -11,8 +11,16 @@ from oracle_pipeline.bags.errors import ManifestError, RunDirectoryError
 from oracle_pipeline.bags.manifest import Manifest
 from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bags.run_directory import RunDirectory
+from sim.fuzzing.scenario import Scenario
+from sim.testbeds import TESTBEDS, which_testbed
 
-CONTROL = "lidar_passthrough_odom"  # of attacks that have no pair of their own
+CONTROL = "lidar_passthrough_odom"  # of a TurtleBot3's attacks that have no pair of their own
+
+
+def control_of(scenario: Scenario) -> str:
+    """Return the mode that attacks of a scenario's testbed are compared with."""
+    experiments = TESTBEDS[which_testbed(scenario)].experiments
+    return CONTROL if CONTROL in experiments else experiments[0]
 
 
 def judge_pair(directory: RunDirectory) -> None:

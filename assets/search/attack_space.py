@@ -12,6 +12,7 @@ import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 
 from oracle_pipeline.bags.errors import OracleError
+from sim.pairs import CONTROL
 
 
 class SearchError(OracleError):
@@ -48,12 +49,15 @@ class AttackSpace:
         Returns the attack that a trial proposes.
     conditions : mapping
         Changes to the testbed.
+    control : str
+        Mode of the runs without an attack.
     """
 
     id: str
     text: str
     suggest: Callable[[optuna.Trial], Attack]
     conditions: Mapping[str, Any] = field(default_factory=dict)
+    control: str = CONTROL
 
 
 def suggested(trial: optuna.Trial, name: str, values: BaseDistribution) -> Any:

@@ -118,6 +118,8 @@ class ClosedLoop:
         Changes to the testbed.
     feedback : str, optional
         Name in `FEEDBACKS` of what guides the search instead of the effect.
+    control : str
+        Mode of the runs without an attack.
     """
 
     campaign: Campaign
@@ -126,6 +128,7 @@ class ClosedLoop:
     controls: Path
     conditions: Mapping[str, Any] = field(default_factory=dict)
     feedback: str | None = None
+    control: str = CONTROL
 
     def run_control(self, block: int) -> Manifest:
         """Record a block without an attack, and repeats of it with other noise of the sensors.
@@ -135,12 +138,12 @@ class ClosedLoop:
         noisy = replace(self.campaign, noise_per_run=True)
         for repeat in self._repeats(block):
             record_job(noisy, False, repeat)
-        recipe = recipe_for(CONTROL, block, self.campaign)
-        return record_run(recipe, RunDirectory(self.controls, CONTROL, block))
+        recipe = recipe_for(self.control, block, self.campaign)
+        return record_run(recipe, RunDirectory(self.controls, self.control, block))
 
     def _repeats(self, block: int) -> list[Job]:
-        control = modes()[CONTROL].scenario
-        named = [{**control.document, "id": f"{CONTROL}_{n}"} for n in range(REPEATS)]
+        control = modes()[self.control].scenario
+        named = [{**control.document, "id": f"{control.id}_{n}"} for n in range(REPEATS)]
         scenarios = [replace(control, document=document) for document in named]
         root = self.controls / "repeats"
         return [Job(Mode(each, self.conditions), root, block, block) for each in scenarios]
@@ -161,7 +164,7 @@ class ClosedLoop:
             return self._finding(proposal, run.directory, judged, ran=True)
 
     def _control(self, proposal: Proposal) -> RunDirectory:
-        return RunDirectory(self.controls, CONTROL, proposal.block)
+        return RunDirectory(self.controls, self.control, proposal.block)
 
     def judged_control(self, proposal: Proposal) -> Judgement:
         """Judge the run without the attack, once."""

@@ -102,5 +102,6 @@ def picture(findings: Sequence[Finding], front: Sequence[Finding]) -> bytes:
             )  # fmt: skip
         axes.axhline(1.0, color=INK, linewidth=0.8, linestyle=":")
         axes.set(xlabel="score of the oracle", ylabel="effect on the task")
-        axes.figure.legend(loc="outside upper right", ncols=2)
+        if findings:
+            axes.figure.legend(loc="outside upper right", ncols=2)
     return png.getvalue()

@@ -17,6 +17,7 @@ from assets.search.attack_space import Attack, AttackSpace, SearchError, suggest
 from sim.fuzzing.compilation import compile_scenario
 from sim.fuzzing.program import Parameter
 from sim.fuzzing.value_types import Boolean, Number
+from sim.pairs import control_of
 from sim.testbed import Mode
 
 RATIO_FOR_LOG = 100.0  # ratio of the bounds from which the scale is logarithmic
@@ -39,7 +40,8 @@ def scenario_attacks(mode: Mode, ranges: Sequence[str] = ()) -> AttackSpace:
         return Attack({**document, "parameters": parameters}, values)
 
     text = ", ".join(f"{name} {_in_words(of)}" for name, of in varied.items())
-    return AttackSpace(mode.id, text, suggest, mode.conditions)
+    control = control_of(mode.scenario)
+    return AttackSpace(mode.id, text, suggest, mode.conditions, control)
 
 
 def _fixed(spec: Mapping[str, Any], value: Any) -> dict[str, Any]:

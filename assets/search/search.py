@@ -151,7 +151,7 @@ class Search:
     ) -> None:
         self._space, self._settings = space, settings
         self._loop = dataclasses.replace(
-            settings.closed_loop(controls), conditions=space.conditions
+            settings.closed_loop(controls), conditions=space.conditions, control=space.control
         )
         folder.mkdir(parents=True, exist_ok=True)
         optuna.logging.set_verbosity(optuna.logging.WARNING)

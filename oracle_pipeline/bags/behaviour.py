@@ -16,23 +16,26 @@ UNITS: Mapping[str, str] = {
 
 
 def behaviour(run: Manifest) -> dict[str, float]:
-    """Return the quantities of a run; empty for a system that does not drive.
+    """Return the quantities of a run; empty for a system without goals.
 
-    They are the distance driven and the time with an active goal, over all goals; the smallest
-    distance of the base from any surface; the goals reached; the recoveries that Nav2 tried; and
-    the share of non-zero velocity commands that the collision monitor slowed down or stopped.
+    They are the way and the time with an active goal, over all goals; and the goals reached. Of
+    robots that drive, they are also the smallest distance of the base from any surface; the
+    recoveries that Nav2 tried; and the share of non-zero velocity commands that the collision
+    monitor slowed down or stopped.
     """
-    if run.drive is None:
-        return {}
     goals, drive = run.goal_results, run.drive
+    if drive is None and not goals:
+        return {}
     ends = [run.recording_s if goal.ended_s is None else goal.ended_s for goal in goals]
     quantities = {
         "driven_m": sum(goal.driven_m for goal in goals),
         "under_way_s": sum(e - goal.accepted_s for e, goal in zip(ends, goals, strict=True)),
         "goals_reached": float(sum(goal.outcome == "succeeded" for goal in goals)),
-        "recoveries": float(sum(goal.recoveries for goal in goals)),
-        "commands_altered": drive.commands_altered / max(1, drive.commands),
     }
+    if drive is None:
+        return quantities
+    quantities["recoveries"] = float(sum(goal.recoveries for goal in goals))
+    quantities["commands_altered"] = drive.commands_altered / max(1, drive.commands)
     if drive.clearance_m is not None:
         quantities["clearance_m"] = drive.clearance_m
     return quantities

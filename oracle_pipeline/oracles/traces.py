@@ -185,20 +185,26 @@ def read_trace(robot: Robot, numbers: Mapping[str, str] = NO_NUMBERS) -> pd.Data
     found = {
         f"{part.topic}/{name}": fp.Series(part.times_ns.astype(np.float64) * 1e-9, values[:, None])
         for part in collector.signals(recording.times_ns)
+        if len(part.times_ns)  # one message has no period
         for name, values in zip(part.names, part.values.T, strict=True)
     }
-    for name, number in numbers.items():
-        series = found.get(number, fp.Series(np.zeros(1), np.full((1, 1), np.nan)))
-        (trace[name],) = _held(series, trace[TIME].to_numpy())
-    return trace
+    unknown = fp.Series(np.zeros(1), np.full((1, 1), np.nan))
+    clock = trace[TIME].to_numpy()
+    further = {name: _held(found.get(each, unknown), clock)[0] for name, each in numbers.items()}
+    return pd.DataFrame({**trace, **further})
 
 
 def all_numbers(robot: Robot) -> dict[str, str]:
-    """Return all numbers in a robot's messages, by names for formulas."""
+    """Return all finite numbers in a robot's messages, by names for formulas."""
     collector = SignalCollector(robot)
     recording = KeptMessages.read(robot, (), see=collector.see)
     parts = collector.signals(recording.times_ns)
-    numbers = [f"{part.topic}/{name}" for part in parts for name in part.names]
+    numbers = [
+        f"{part.topic}/{name}"
+        for part in parts
+        for name, values in zip(part.names, part.values.T, strict=True)
+        if np.isfinite(values).any()
+    ]
     return {re.sub(r"\W+", "_", number).strip("_"): number for number in numbers}
 
 

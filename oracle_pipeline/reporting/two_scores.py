@@ -55,7 +55,7 @@ def scores_table(
 def task_table(
     judged: pd.Series | None, manifest: Manifest, uncertainty: Mapping[str, float]
 ) -> PageTable:
-    """Return the robot's behaviour by quantity; empty if it does not drive.
+    """Return the robot's behaviour by quantity; empty if it has no goals.
 
     Parameters are those of `scores_table`; a run that was not judged has no differences.
     """

@@ -80,6 +80,7 @@ def derive_mutant(controls: Path, refresh: bool, job: Job) -> Manifest:
             program,
             recipe.attack_seed(),
             parameters=recipe.parameters,
+            goals_s=[result.accepted_s for result in original.goal_results],
         )
         shutil.copytree(control / GRAPHS_FOLDER, folder / GRAPHS_FOLDER)
         manifest = dataclasses.replace(

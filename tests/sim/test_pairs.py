@@ -8,7 +8,17 @@ from oracle_pipeline.bags.behaviour import UNITS
 from oracle_pipeline.bags.manifest import Drive, GoalResult, Manifest, Measured, Pose, Software
 from oracle_pipeline.bags.protocol import PAIRS
 from oracle_pipeline.bags.run_directory import RunDirectory
-from sim.pairs import judge_pair, task_effect
+from sim.modes import modes
+from sim.pairs import control_of, judge_pair, task_effect
+from sim.testbeds import which_testbed
+
+
+@pytest.mark.parametrize("mode", [mode for mode in modes().values() if mode.label == "malicious"])
+def test_attacks_are_compared_with_normal_runs_of_their_testbed(mode):
+    control = modes()[control_of(mode.scenario)]
+    assert control.label == "normal"
+    assert which_testbed(control.scenario) == which_testbed(mode.scenario)
+
 
 SUCCEEDED = GoalResult(2.0, 20.0, "succeeded", 4.0, 0)
 LABELS = {control: "normal" for control, _ in PAIRS} | {"random_noise_shadow": "control"}
@@ -49,8 +59,9 @@ def test_an_effect_is_the_increase_of_each_quantity():
 
 def test_quantities_that_were_not_measured_are_not_compared():
     control = manifest("lidar_passthrough")
-    older = dataclasses.replace(manifest("random_noise"), drive=None)
-    assert task_effect(older, control) is None
+    still = dataclasses.replace(manifest("random_noise"), drive=None)
+    assert task_effect(still, control).keys() == {"driven_m", "under_way_s", "goals_reached"}
+    assert task_effect(dataclasses.replace(still, goal_results=()), control) is None
     nowhere = dataclasses.replace(manifest("random_noise"), drive=Drive(None, 0, 0))
     assert "clearance_m" not in task_effect(nowhere, control)
 

@@ -92,6 +92,19 @@ def test_trials_detected_in_an_altered_recording_are_not_run(
     assert finding["effects"] == {}
 
 
+def test_an_attack_on_an_arm_is_compared_with_the_arm(tmp_path: Path) -> None:
+    words = [
+        "search", "arm_pose_offset", "--oracle", "implicit", "--budget", "1", "--blocks", "1",
+        "--goals", "1", "--workers", "1", "--no-screen", "--range", "offset=0.3:0.5",
+        "--out", str(tmp_path),
+    ]  # fmt: skip
+    result = CliRunner().invoke(oracle_sim, words)
+    assert result.exit_code == 0, result.output
+    (finding,) = json.loads((tmp_path / "findings.json").read_text())["findings"]
+    assert finding["effects"]["goals_reached"] == -1.0
+    assert [each.name for each in (tmp_path / CONTROLS / "runs").iterdir()] == ["arm_normal"]
+
+
 REQUIREMENTS = """requirements:
   - name: few_turns
     formula: always (turn <= {})

@@ -14,7 +14,7 @@ from oracle_pipeline.evaluation.kinds_comparison import UNION, compare_kinds
 from oracle_pipeline.features.engine.plugin import TopicArrivals
 from oracle_pipeline.oracles import human
 from oracle_pipeline.oracles.calibration import calibrated, union
-from oracle_pipeline.oracles.collecting import traced_runs
+from oracle_pipeline.oracles.collecting import numbers_to_learn, traced_runs
 from oracle_pipeline.oracles.implicit import Implicit
 from oracle_pipeline.oracles.invariants import Invariants
 from oracle_pipeline.oracles.kind import RELATION, KindError, Material
@@ -313,6 +313,17 @@ def test_invariants_of_a_robot_that_does_not_drive_are_those_of_its_numbers(tmp_
         assert {run["invariants"] for run in usual} == {1.0}
         assert odd["invariants"] == pytest.approx(1 / (len(usual) + 1))
         assert not more or odd["specified"] == odd["invariants"]
+
+
+@pytest.mark.slow(3)
+@pytest.mark.parametrize("mode", ["arm_normal", "atc_normal"])
+def test_numbers_of_a_testbed_have_values_in_each_trace(mode, recorded_run):
+    """Topics with one message have no period, and rotations of length 0 no angles."""
+    folder = recorded_run(mode).path
+    numbers = numbers_to_learn([folder])
+    trace = traced_runs([], [folder], numbers).traces[0]
+    assert len(numbers) > 30
+    assert trace[list(numbers)].notna().any().all()
 
 
 def test_all_recordings_that_cannot_be_read_are_named_at_once(tmp_path):

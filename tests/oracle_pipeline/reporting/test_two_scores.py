@@ -39,5 +39,5 @@ def test_misbehaviour_lists_the_quantities_that_differ(
     assert words(effect, **differences) == said
 
 
-def test_a_system_that_does_not_drive_has_no_row() -> None:
-    assert task_table(None, manifest(drive=None), {}).rows == []
+def test_a_system_without_goals_has_no_row() -> None:
+    assert task_table(None, manifest(drive=None, goal_results=()), {}).rows == []
