@@ -11,6 +11,7 @@ import pandas as pd
 
 from oracle_pipeline.bags.behaviour import UNITS, behaviour
 from oracle_pipeline.bags.manifest import Manifest
+from oracle_pipeline.bags.terminal import count_of
 from oracle_pipeline.evaluation.card_verdicts import RATE
 from oracle_pipeline.evaluation.task_effects import REPEATS
 from oracle_pipeline.reporting.tables import NO_FIGURE, PageTable, plain_table
@@ -79,7 +80,7 @@ def _tampered(manifest: Manifest) -> str:
     if manifest.label != "malicious":
         return "not tampered"
     changed = sum(change.messages for change in manifest.changes)
-    return f"tampered: the attack altered {changed} messages"
+    return f"tampered: the attack altered {count_of(changed, 'message')}"
 
 
 def _misbehaved(judged: pd.Series, uncertainty: Mapping[str, float]) -> str:

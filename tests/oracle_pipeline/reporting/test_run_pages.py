@@ -98,7 +98,7 @@ def test_an_attacked_run_is_shown_with_verdict_evidence_and_onset(report):
     text = page(report, ATTACKED)
     assert "attacked" in text
     assert re.search(r"Score [\d.]+, rank \d+ of 55", text)
-    assert "at 30.0 s; 12 messages changed" in text
+    assert "at 30.0 s; messages changed: 12" in text
     assert re.search(r'<th scope="row">(structural.entropy|contextual.yaw_variance)</th>', text)
 
 
