@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.bags.manifest import Change, Manifest, Measured
+from oracle_pipeline.bags.manifest import Change, Drive, Manifest, Measured
 from oracle_pipeline.evaluation.run_deviations import deviations_of_runs
 from oracle_pipeline.reporting.run_pages import ShownRuns, write_run_pages
 from oracle_pipeline.reporting.strip_plot import strip_plot
@@ -18,6 +18,7 @@ from tests.oracle_pipeline.reporting.pages import draw, oracle_report_of
 from tests.oracle_pipeline.reporting.recordings import manifest
 
 ATTACKED, NORMAL, DROPPED = "delayed_fakeobject|run001", "benign_noise|run002", "fake_object|run004"
+STILL = "fake_object|run003"  # its robot does not drive
 
 
 def shown_runs(tmp_path):
@@ -30,10 +31,13 @@ def shown_runs(tmp_path):
         mode, number = run.split("|run")
         kept = Measured(1.0, {"bag": 1}, kept="recipe" if run == DROPPED else "full")
         original = manifest(label=labels[run], onset_s=DELAY_S, changes=(Change(30.0, 12, 1.0),))
-        return replace(original, mode=mode, run=int(number), recording_s=90.0, measured=kept)
+        drive = None if run == STILL else Drive(0.5, 100, 0)
+        return replace(
+            original, mode=mode, run=int(number), recording_s=90.0, measured=kept, drive=drive
+        )
 
     def picture(run):
-        if run == DROPPED:
+        if run in (DROPPED, STILL):
             raise OracleError("<no bag>")
         return draw(ATTACKED)
 
@@ -114,6 +118,7 @@ def test_a_run_without_a_bag_or_picture_has_a_page_with_a_note(report):
     assert "is not drawn: &lt;no bag&gt;" in text
     assert "dropped to save space" in text
     assert "oracle replay" in text
+    assert "oracle replay" not in page(report, STILL)
 
 
 def test_runs_of_one_block_link_to_each_other(report):
