@@ -37,11 +37,12 @@ allow_actuation_option = click.option(
 
 
 def mode_option(default: str | None = None) -> Callable[[Command], Command]:
-    """Return the option that chooses a mode; its help lists them, wrapped."""
-    names = list(modes())
+    """Return the option that chooses a mode, without a default several; its help lists them."""
+    names, more = list(modes()), "" if default else " May be given more than once."
     return click.option(
         "-m", "--mode", type=click.Choice(names), metavar="MODE", default=default,
-        show_default=default is not None, help=f"Which experiment: {', '.join(names)}.",
+        show_default=bool(default), multiple=not default,
+        help=f"Which experiment: {', '.join(names)}.{more}",
     )  # fmt: skip
 
 

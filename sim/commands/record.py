@@ -1,4 +1,4 @@
-"""``oracle-sim record``: runs of one mode."""
+"""``oracle-sim record``: runs of some modes, or of a scenario."""
 
 import dataclasses
 import functools
@@ -38,7 +38,7 @@ from sim.testbeds import TESTBEDS, require_testbed, which_testbed
 @batch.workers_option
 @batch.refresh_option
 def record(
-    mode: str | None,
+    mode: tuple[str, ...],
     scenario: str | None,
     testbed: str | None,
     allow_actuation: bool,
@@ -49,14 +49,14 @@ def record(
     refresh: bool,
     **options: Any,
 ) -> None:
-    """Record runs of one mode, of a scenario, or of a testbed.
+    """Record runs of some modes, of a scenario, or of a testbed.
 
     Run i of every mode has the same start, goals and session (block i), so runs compare across
     modes. Existing runs are kept, so the same call again completes an interrupted one.
 
     \b
     Examples:
-        oracle-sim record -m fake_object -n 3 --out data
+        oracle-sim record -m lidar_passthrough_odom -m fake_object -n 3 --out data
         oracle-sim record --scenario sensor_freeze
         oracle-sim record --testbed atc -n 3
         oracle-sim record -m lidar_passthrough -n 14 --first-block 60 --sessions 2
@@ -64,14 +64,15 @@ def record(
     """  # noqa: D301 -- click reads the control character
     for broken in left_out():
         click.echo(f"Left out: {broken}", err=True)
-    experiment = _experiment(mode, scenario, testbed, allow_actuation=allow_actuation)
+    chosen = functools.partial(_experiment, scenario, testbed, allow_actuation=allow_actuation)
+    experiments = list(map(chosen, mode or (None,)))
     blocks = range(first_block, first_block + number)
-    jobs = [Job(experiment, out, block, block) for block in blocks]
+    jobs = [Job(each, out, block, block) for each in experiments for block in blocks]
     batch.make_runs(functools.partial(record_job, batch.campaign(options), refresh), jobs, workers)
 
 
 def _experiment(
-    mode: str | None, scenario: str | None, testbed: str | None, *, allow_actuation: bool
+    scenario: str | None, testbed: str | None, mode: str | None, *, allow_actuation: bool
 ) -> Mode:
     if (mode is not None and scenario is not None) or not (mode or scenario or testbed):
         raise click.UsageError("Give either --mode or --scenario, or --testbed.")

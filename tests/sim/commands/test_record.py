@@ -38,6 +38,12 @@ def test_the_command_records_a_run_once_and_prints_a_summary(tmp_path):
     assert manifest.stat().st_mtime_ns == made_ns
 
 
+def test_runs_of_several_modes_of_several_testbeds_are_recorded_at_once(tmp_path):
+    done = record("-m", "cf_normal", "-m", "atc_normal", "--goals", 1, "--out", tmp_path)
+    assert done.exit_code == 0, done.output
+    assert {run.mode for run in find_runs(tmp_path)} == {"cf_normal", "atc_normal"}
+
+
 def test_the_command_records_a_scenario_that_is_no_mode(tmp_path):
     file = tmp_path / "own.yaml"
     file.write_text(
