@@ -36,7 +36,7 @@ PLAIN_STATISTICS = ("mean", "std", "min", "max", "change")  # of signals, for it
 OF_WINDOWS = ("windows", "signal windows")  # levels of windows; all others are of whole runs
 TOP_WINDOWS = 6  # number of highest window scores that are averaged for a run
 TOP_FEATURES = 3  # number of a window's most unusual features that are averaged for alarms
-WELL_KNOWN = 100  # features of windows beside which signals raise no alarms
+ENOUGH_FEATURES = 100  # features of windows beside which signals raise no alarms
 LEAST_REACH = 3.0  # smallest distance that normal windows are taken to reach [scales]
 COMMON = 0.9  # share of the runs that reach the common length
 
@@ -78,7 +78,7 @@ class Design:
     @property
     def alarm_levels(self) -> tuple[str, ...]:
         """The levels of windows whose columns count for alarms."""
-        are_known = len(self.window_features) >= WELL_KNOWN
+        are_known = len(self.window_features) >= ENOUGH_FEATURES
         levels = ("windows",) if are_known else OF_WINDOWS
         return tuple(filter(self.columns, levels)) if self.window_features else ()
 

@@ -11,10 +11,10 @@ from oracle_pipeline.detectors import panel
 from oracle_pipeline.scoring.learning import learned_scorer
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.run_scorer import (
+    ENOUGH_FEATURES,
     OF_FEATURES,
     TOP_FEATURES,
     TOP_WINDOWS,
-    WELL_KNOWN,
     Design,
     RunScorer,
 )  # fmt: skip
@@ -59,7 +59,7 @@ def test_a_change_of_few_features_is_not_lost_among_many_others(times, others):
     np.testing.assert_allclose(scorer.alarm_scores(beyond(windows, scorer, times)), times)
 
 
-@pytest.mark.parametrize("known", [WELL_KNOWN - 1, WELL_KNOWN])
+@pytest.mark.parametrize("known", [ENOUGH_FEATURES - 1, ENOUGH_FEATURES])
 def test_signals_raise_alarms_where_few_features_know_the_robot(known):
     rng, count = np.random.default_rng(0), len(WINDOWS)
     columns = [f"motion.feature{n}" for n in range(known)]
@@ -74,9 +74,9 @@ def test_signals_raise_alarms_where_few_features_know_the_robot(known):
     stuck = table.iloc[[0]].copy()
     stuck[signals] += 100.0
     before, after = (scorer.alarm_scores(each)[0] for each in (table.iloc[[0]], stuck))
-    assert (after > 5.0) if known < WELL_KNOWN else (after == before)
+    assert (after > 5.0) if known < ENOUGH_FEATURES else (after == before)
     families = scorer.unusual_families(stuck)[0]
-    assert (families == ["/arm"]) if known < WELL_KNOWN else ("/arm" not in families)
+    assert (families == ["/arm"]) if known < ENOUGH_FEATURES else ("/arm" not in families)
 
 
 def test_what_leaves_its_range_is_not_hidden_by_a_hundred_signals_that_scatter():
