@@ -220,13 +220,13 @@ def extract_window(
     """
     robot = robot or only_robot(run)
     run = replace(run, bag=robot.bag)
-    collector = SignalCollector(robot)
-    see = collector.see if signals else None
+    collector = SignalCollector(robot) if signals else None
+    see = collector.see if collector else None
     recording = KeptMessages.read(robot, manager.plugins, carried, see=see)
-    signals_seen = collector.signals(recording.times_ns) if signals else []
+    found = collector.signals(recording.times_ns) if collector else []
     extraction = _Extraction(run, manager, recording, Span(0, recording.clock.duration_ns))
     span = Span(round(start_s * 1e9), recording.clock.duration_ns)
-    table = extraction.windows(_keys(run, robot), [span], SignalTable(signals_seen))
+    table = extraction.windows(_keys(run, robot), [span], SignalTable(found))
     return WindowFeatures(table.frame(), recording.carried())
 
 
