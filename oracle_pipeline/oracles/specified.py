@@ -46,10 +46,7 @@ class Specified:
             No run has the signals of any requirement.
         """
         if normal.traces and np.isnan(normal.each(_Violations(self.requirements))).all():
-            raise KindError(
-                "No normal run has the signals of the requirements; write your own, or let "
-                "`oracle invariants` learn some."
-            )
+            raise KindError("No normal run has the required signals: try `oracle invariants`.")
         return self
 
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:

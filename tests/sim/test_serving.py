@@ -1,5 +1,10 @@
 """Serving on DDS does not change a run, and mirrors its graph and messages."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
 from oracle_pipeline.bags import dds
@@ -15,6 +20,7 @@ from sim.serving import ServedDomain, switch
 from tests.recorded_runs import ONE_GOAL
 
 MODE = "lidar_passthrough_odom"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.mark.slow(5)
@@ -106,3 +112,15 @@ def test_a_scenario_on_other_topics_is_refused(tmp_path):
 
     record_run(recipe_for(MODE, 0, ONE_GOAL), RunDirectory(tmp_path, MODE, 0), accompany=accompany)
     assert refused
+
+
+@pytest.mark.slow(3)
+def test_a_system_of_commands_is_not_served_for_it_is_on_dds_by_itself(domain):
+    environment = os.environ | {"ORACLE_TESTBEDS": str(EXAMPLES / "tank")}
+    words = ["serve", "-m", "tank_normal", "--domain", str(domain)]
+    done = subprocess.run(
+        [sys.executable, "-c", "from sim.commands.main import main; main()", *words],
+        capture_output=True, text=True, check=False, env=environment, stdin=subprocess.DEVNULL,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr.startswith("Error: tank_normal is of a system that is on DDS by itself")
