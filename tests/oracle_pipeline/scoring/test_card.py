@@ -5,6 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from oracle_pipeline.features.signals.statistics import OF_RUN
 from oracle_pipeline.robots.roles_file import RoleChoices
 from oracle_pipeline.scoring.card import CardError, ReferenceCard, checked_card
 from oracle_pipeline.scoring.feature_sets import ASPECTS
@@ -55,6 +56,24 @@ def test_a_card_of_a_named_detector_gives_equal_scores_and_no_other_is_taken_for
     np.testing.assert_array_equal(read.scorer.scores(new), scorer.scores(new))
     with pytest.raises(CardError, match="with the detector isolation_forest, not with pca"):
         read.by_detector("pca")
+
+
+def test_a_card_keeps_alarms_by_signals_and_one_of_an_earlier_release_has_those_by_features(
+    tmp_path,
+):
+    normal, rng = runs(12, seed=0), np.random.default_rng(0)
+    for table in (normal.features, normal.windows):
+        for name in OF_RUN:
+            table[f"signals./arm/elbow.{name}"] = rng.normal(size=len(table))
+    scorer = learned_scorer(normal)
+    for levels in ({"windows", "signal windows"}, {"windows"}):
+        for fold in scorer.scorers_:
+            fold.reach_ = {level: fold.reach_[level] for level in levels}
+        ReferenceCard(scorer, normal.features).save(tmp_path / "robot.card")
+        read = checked_card(tmp_path / "robot.card").scorer
+        assert set(read.scorers_[0].reach_) == levels
+        expected = scorer.window_scores(normal.windows)
+        np.testing.assert_array_equal(read.window_scores(normal.windows), expected)
 
 
 def test_the_same_card_gives_the_same_bytes(card, file, tmp_path):
