@@ -220,10 +220,9 @@ def extract_window(
     """
     robot = robot or only_robot(run)
     run = replace(run, bag=robot.bag)
-    collector = SignalCollector(robot) if signals else None
-    see = collector.see if collector else None
-    recording = KeptMessages.read(robot, manager.plugins, carried, see=see)
-    found = collector.signals(recording.times_ns) if collector else []
+    seen = SignalCollector(robot) if signals else None
+    recording = KeptMessages.read(robot, manager.plugins, carried, seen.see if seen else None)
+    found = seen.signals(recording.times_ns) if seen else []
     extraction = _Extraction(run, manager, recording, Span(0, recording.clock.duration_ns))
     span = Span(round(start_s * 1e9), recording.clock.duration_ns)
     table = extraction.windows(_keys(run, robot), [span], SignalTable(found))

@@ -65,9 +65,8 @@ def record(
     for broken in left_out():
         click.echo(f"Left out: {broken}", err=True)
     chosen = functools.partial(_experiment, scenario, testbed, allow_actuation=allow_actuation)
-    experiments = list(map(chosen, mode or (None,)))
     blocks = range(first_block, first_block + number)
-    jobs = [Job(each, out, block, block) for each in experiments for block in blocks]
+    jobs = [Job(each, out, b, b) for each in map(chosen, mode or (None,)) for b in blocks]
     batch.make_runs(functools.partial(record_job, batch.campaign(options), refresh), jobs, workers)
 
 

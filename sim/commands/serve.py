@@ -131,9 +131,7 @@ class _Session:
         from sim.serving import ServedDomain
 
         if not hasattr(run, "domain"):
-            raise click.ClickException(
-                f"{mode} is of a system that is on DDS by itself: `oracle-sim record` runs it."
-            )
+            raise click.ClickException(f"{mode} is on DDS by itself: `oracle-sim record` runs it.")
         self._run, self._speed, self._mode, self._is_kept = run, speed, mode, is_kept
         self._block, self._campaign = block, campaign
         self._typed: queue.SimpleQueue[str] = queue.SimpleQueue()

@@ -123,4 +123,4 @@ def test_a_system_of_commands_is_not_served_for_it_is_on_dds_by_itself(domain):
         capture_output=True, text=True, check=False, env=environment, stdin=subprocess.DEVNULL,
     )  # fmt: skip
     assert done.returncode == 1
-    assert done.stderr.startswith("Error: tank_normal is of a system that is on DDS by itself")
+    assert done.stderr.startswith("Error: tank_normal is on DDS by itself")

@@ -20,7 +20,7 @@ from oracle_pipeline.robots.roles import is_static
 MOST_SIGNALS = 1024  # of a recording
 CUT = f"The recording has more than {MOST_SIGNALS} signals"  # begins a note
 MOST_BYTES = 32 * 2**20  # of the messages of a topic that are decoded; the others are passed over
-MOST_MESSAGES = 20_000  # of a topic that are decoded
+MOST_MESSAGES = 200_000  # of a topic that are decoded
 _MOST_WAITING = 4 * 2**20  # bytes of a topic's messages that wait to be decoded together
 _OF_THE_MIDDLEWARE = "rcl_interfaces/"  # types of logs and of parameters
 PAIRED = 0.25  # least share of messages right after another; fewer tell little of changes
@@ -61,8 +61,13 @@ class _Topic:
         if not self._passed:
             mean = float(batch.sizes[rows].mean())
             self.every = max(self.every, int(-(-self._count * mean // MOST_BYTES)))
-        # Pairs, since a change over many messages is larger than that from one to the next.
-        chosen = rows[(self._passed + np.arange(len(rows))) % (2 * self.every) < 2]
+        chosen, block = rows, 2 * self.every
+        if self.every > 1:
+            # Pairs, since a change over many messages is larger than that from one to the next; out
+            # of step, by a prime number, since what oscillates would become a level.
+            number = self._passed + np.arange(-1, len(rows))
+            begins = number % block == number // block * 7919 % block
+            chosen = rows[begins[1:] | begins[:-1]]
         self._passed += len(rows)
         chosen = chosen[batch.sizes[chosen] <= LARGEST_DECODED]
         self._waiting += batch.messages(chosen)
