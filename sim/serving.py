@@ -76,8 +76,9 @@ class ServedDomain:
         before = len(self._writers), len(self._readers), self._nodes
         self._nodes = self._domain.node_names()
         for publisher in self._domain.publishers():
-            is_hidden = publisher.topic == GROUND_TRUTH_TOPIC or publisher.node not in self._nodes
-            if publisher not in self._writers and not is_hidden:
+            # The simulated world sets its conditions through a publisher of no node.
+            is_public = publisher.node in self._nodes and publisher.topic != GROUND_TRUTH_TOPIC
+            if is_public and publisher not in self._writers:
                 self._writers[publisher] = dds.RawWriter(
                     self._participant, dds_topic(publisher.topic), publisher.msgtype, publisher.qos
                 )

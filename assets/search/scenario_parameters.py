@@ -40,8 +40,7 @@ def scenario_attacks(mode: Mode, ranges: Sequence[str] = ()) -> AttackSpace:
         return Attack({**document, "parameters": parameters}, values)
 
     text = ", ".join(f"{name} {_in_words(of)}" for name, of in varied.items())
-    control = control_of(mode.scenario)
-    return AttackSpace(mode.id, text, suggest, mode.conditions, control)
+    return AttackSpace(mode.id, text, suggest, mode.conditions, control_of(mode.scenario))
 
 
 def _fixed(spec: Mapping[str, Any], value: Any) -> dict[str, Any]:

@@ -32,10 +32,9 @@ def behaviour(run: Manifest) -> dict[str, float]:
         "under_way_s": sum(e - goal.accepted_s for e, goal in zip(ends, goals, strict=True)),
         "goals_reached": float(sum(goal.outcome == "succeeded" for goal in goals)),
     }
-    if drive is None:
-        return quantities
-    quantities["recoveries"] = float(sum(goal.recoveries for goal in goals))
-    quantities["commands_altered"] = drive.commands_altered / max(1, drive.commands)
-    if drive.clearance_m is not None:
-        quantities["clearance_m"] = drive.clearance_m
+    if drive is not None:
+        quantities["recoveries"] = float(sum(goal.recoveries for goal in goals))
+        quantities["commands_altered"] = drive.commands_altered / max(1, drive.commands)
+        if drive.clearance_m is not None:
+            quantities["clearance_m"] = drive.clearance_m
     return quantities

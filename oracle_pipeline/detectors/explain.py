@@ -100,16 +100,6 @@ class UsualRanges:
         ]  # fmt: skip
 
 
-def explain(
-    normal: pd.DataFrame,
-    row: pd.DataFrame,
-    columns: Sequence[str],
-    scaler: FlooredRobustScaler | None = None,
-) -> list[Deviation]:
-    """Rank the features of one run that are outside the usual range of normal ones."""
-    return UsualRanges(normal, columns, scaler).deviations(row)
-
-
 def by_family(deviations: Sequence[Deviation], columns: Sequence[str]) -> list[FamilyDeviation]:
     """Summarise ranked deviations by family, the family with the farthest feature first."""
     families = [column.split(".", 1)[0] for column in columns]

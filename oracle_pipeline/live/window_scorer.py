@@ -74,7 +74,7 @@ class WindowScorer:
             )
         self._scorer = card.scorer
         self._models = card.scorer.scorers_[0]
-        self.uses_signals = len(self._models.reach_) > 1
+        self.uses_signals = "signal windows" in self._models.reach_
         self._normal = np.sort(normal.scores)
         self.alarms_per_h = alarms_per_h or max(RATE_PER_H, normal.lowest_rate())
         self.rule = normal.rule(self.alarms_per_h)

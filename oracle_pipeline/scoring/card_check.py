@@ -16,6 +16,7 @@ from sklearn.pipeline import Pipeline
 from oracle_pipeline import detectors
 from oracle_pipeline.scoring.alarms import RATE_PER_H, NormalWindows
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
+from oracle_pipeline.scoring.evidence import ranked_deviations, usual_ranges
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.run_scorer import BEYOND, OF_WINDOWS
 
@@ -60,10 +61,9 @@ def check_scorer(scorer: CrossConformalScorer, runs: pd.DataFrame) -> None:
     if scorer.windows_ is not None:
         _check_windows(scorer.windows_)
     _check_scores(scorer, runs)
-    of_signals = detectors.SignalScaler(design.floors)
-    for columns, scaler in ((design.run_features, None), (design.run_signals, of_signals)):
-        if columns:  # evidence comes from the declarations of the columns too
-            detectors.explain(runs, runs.iloc[:1], columns, scaler)
+    # Evidence comes from the declarations of the columns, too.
+    usual = usual_ranges(runs, design.run_features, design.run_signals, design.floors)
+    ranked_deviations(usual, runs.iloc[:1])
 
 
 def _require(fits: bool, fault: str) -> None:

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 
 from oracle_pipeline.datasets import WHERE, WINDOW_START, topic_of_signal
-from oracle_pipeline.detectors import Deviation, SignalScaler, explain
+from oracle_pipeline.detectors import Deviation, SignalScaler, UsualRanges
 from oracle_pipeline.features import FeatureTables
-from oracle_pipeline.scoring.run_scorer import Design, NormalRange
+from oracle_pipeline.scoring.run_scorer import NormalRange
 from oracle_pipeline.scoring.verdict import Evidence, WindowSeries
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
@@ -18,16 +18,20 @@ SHOWN = 5  # features listed with a verdict
 _STILL_FAR = 0.5  # share of the largest distance down to which a change lasts
 
 
-def ranked_deviations(
-    normal: pd.DataFrame, run: pd.DataFrame, features: Sequence[str], design: Design
-) -> list[Deviation]:
-    """Return some features, and the signals of a design, that are outside their normal range.
+def usual_ranges(
+    normal: pd.DataFrame,
+    features: Sequence[str],
+    signals: Sequence[str],
+    floors: Mapping[str, float],
+) -> list[UsualRanges]:
+    """Return the usual values of some features and signals among normal runs."""
+    some = ((features, None), (signals, SignalScaler(floors)))
+    return [UsualRanges(normal, columns, scaler) for columns, scaler in some if columns]
 
-    The farthest is first, be it a feature or a signal.
-    """
-    found = explain(normal, run, features) if features else []
-    if design.run_signals:
-        found += explain(normal, run, design.run_signals, SignalScaler(design.floors))
+
+def ranked_deviations(usual: Sequence[UsualRanges], run: pd.DataFrame) -> list[Deviation]:
+    """Return what is outside its usual range, the farthest first, be it a feature or a signal."""
+    found = [each for ranges in usual for each in ranges.deviations(run)]
     return sorted(found, key=lambda each: -abs(each.z))
 
 

@@ -36,7 +36,12 @@ from oracle_pipeline.scoring.comparable import (
 from oracle_pipeline.scoring.conformal import adjusted_for_suite, runs_needed
 from oracle_pipeline.scoring.contract import Observation
 from oracle_pipeline.scoring.cross_conformal import CrossConformalScorer
-from oracle_pipeline.scoring.evidence import farthest_features, ranked_deviations, window_series
+from oracle_pipeline.scoring.evidence import (
+    farthest_features,
+    ranked_deviations,
+    usual_ranges,
+    window_series,
+)
 from oracle_pipeline.scoring.lengths import comparable_tables, is_outside
 from oracle_pipeline.scoring.likeness import LEAST, likeness
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
@@ -263,8 +268,8 @@ def _scored(
     if block != NO_BLOCK:
         notes.append("Its block is part of the reference: all runs of that block are left out.")
     others = card.runs[card.runs["block"] != block]
-    design = replace(design, run_signals=signals)
-    deviations = ranked_deviations(others, tables.run, columns, design)
+    usual = usual_ranges(others, columns, signals, design.floors)
+    deviations = ranked_deviations(usual, tables.run)
     normal = card.scorer.scorers_[0].normal_in_windows
     evidence = farthest_features(deviations, tables, normal)
     return replace(

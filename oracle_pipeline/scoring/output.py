@@ -13,7 +13,7 @@ from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.alarms import RATE_PER_H
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.conformal import runs_needed
-from oracle_pipeline.scoring.evidence import ranked_deviations
+from oracle_pipeline.scoring.evidence import ranked_deviations, usual_ranges
 from oracle_pipeline.scoring.selection import recordings_for
 from oracle_pipeline.scoring.sentences import far_out, headline, rounded
 from oracle_pipeline.scoring.verdict import Evidence, Judgement, Verdict
@@ -270,7 +270,8 @@ def _outlier_as_text(card: ReferenceCard, row: int) -> str:
     """Return score and most unusual feature of a recording, compared with other blocks."""
     runs, design = card.runs, card.scorer.design
     others = runs[runs["block"] != runs["block"].iloc[row]]
-    deviations = ranked_deviations(others, runs.iloc[[row]], design.run_features, design)
+    usual = usual_ranges(others, design.run_features, design.run_signals, design.floors)
+    deviations = ranked_deviations(usual, runs.iloc[[row]])
     told = [f", {each.feature} = {each.value:.3g}" for each in deviations[:1]]
     return f"    {runs['run_id'].iloc[row]}: score {card.scorer.held_out_[row]:.3g}{''.join(told)}"
 

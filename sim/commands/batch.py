@@ -37,7 +37,7 @@ allow_actuation_option = click.option(
 
 
 def mode_option(default: str | None = None) -> Callable[[Command], Command]:
-    """Return the option that chooses a mode, without a default several; its help lists them."""
+    """Return the option that chooses a mode, or some if none is the default; its help has all."""
     names, more = list(modes()), "" if default else " May be given more than once."
     return click.option(
         "-m", "--mode", type=click.Choice(names), metavar="MODE", default=default,

@@ -21,12 +21,14 @@ MOST_SIGNALS = 1024  # of a recording
 CUT = f"The recording has more than {MOST_SIGNALS} signals"  # begins a note
 MOST_BYTES = 32 * 2**20  # of the messages of a topic that are decoded; the others are passed over
 MOST_MESSAGES = 200_000  # of a topic that are decoded
+_OUT_OF_STEP = 7919  # a prime: how far a pair is from the place of the one before, by block
 _MOST_WAITING = 4 * 2**20  # bytes of a topic's messages that wait to be decoded together
 _OF_THE_MIDDLEWARE = "rcl_interfaces/"  # types of logs and of parameters
-PAIRED = 0.25  # least share of messages right after another; fewer tell little of changes
+_PAIRED = 0.25  # least share of messages right after another; fewer tell little of changes
 _WHOLE_SHARE = 0.9  # of the messages of a topic; if fewer are whole, its type is wrong
 
 Floats: TypeAlias = NDArray[np.float64]
+Adjacent: TypeAlias = NDArray[np.bool_] | None  # to the number before; None if all are
 
 
 class Signals(NamedTuple):
@@ -37,7 +39,7 @@ class Signals(NamedTuple):
     units: tuple[str, ...]  # empty if unknown
     times_ns: NDArray[np.int64]  # ascending, since the start of the recording
     values: Floats  # shape (n, n_names)
-    adjacent: NDArray[np.bool_] | None = None  # to the one before; None if all are
+    adjacent: Adjacent = None
 
 
 class _Topic:
@@ -64,9 +66,9 @@ class _Topic:
         chosen, block = rows, 2 * self.every
         if self.every > 1:
             # Pairs, since a change over many messages is larger than that from one to the next; out
-            # of step, by a prime number, since what oscillates would become a level.
+            # of step, since what oscillates would become a level.
             number = self._passed + np.arange(-1, len(rows))
-            begins = number % block == number // block * 7919 % block
+            begins = number % block == number // block * _OUT_OF_STEP % block
             chosen = rows[begins[1:] | begins[:-1]]
         self._passed += len(rows)
         chosen = chosen[batch.sizes[chosen] <= LARGEST_DECODED]
@@ -218,10 +220,10 @@ def _periods(topic: str, times_ns: NDArray[np.int64]) -> Signals:
     return Signals(topic, ("period",), ("s",), in_order[1:], np.diff(in_order)[:, None] * 1e-9)
 
 
-def _adjacent(of_topic: Rows, chosen: Rows) -> NDArray[np.bool_] | None:
+def _adjacent(of_topic: Rows, chosen: Rows) -> Adjacent:
     """Return which of the chosen messages of a topic came right after another; None if few."""
     adjacent = np.diff(np.searchsorted(of_topic, chosen), prepend=-2) == 1
-    return adjacent if adjacent.mean() > PAIRED else None
+    return adjacent if adjacent.mean() > _PAIRED else None
 
 
 def _in_time(topic: str, numbers: Numbers, times_ns: NDArray[np.int64], most: int) -> Signals:

@@ -124,8 +124,8 @@ def _errors(command: _Number, follower: _Number) -> Iterator[Prepared]:
     named = f"{told.topic.strip('/').replace('/', '.')}.{told.names[command.column]}"
     name = f"{own.names[follower.column]}{MINUS}{named}"
     adjacent = None if own.adjacent is None else own.adjacent[known]
-    unit = (follower.unit,)
-    signals = Signals(own.topic, (name,), unit, times_ns, errors[:, None], adjacent)
+    units = (follower.unit,)
+    signals = Signals(own.topic, (name,), units, times_ns, errors[:, None], adjacent)
     yield signals, np.array([follower.period])
     lag_s = _lag_s(errors, np.interp(times_ns, told.times_ns, commands), times_ns)
     if np.isfinite(lag_s):

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.datasets import SIGNALS, is_lag
 from oracle_pipeline.features.engine.plugin import Feature
 from oracle_pipeline.features.engine.spans import Span
-from oracle_pipeline.features.signals.collector import Floats, Signals
+from oracle_pipeline.features.signals.collector import Adjacent, Floats, Signals
 from oracle_pipeline.features.signals.control_errors import control_errors
 from oracle_pipeline.features.signals.units import period_of
 
@@ -34,8 +33,6 @@ OF_STEPS = ("change", "autocorrelation", "held")  # others where messages are lo
 _LEVELS = [0, 2, 3]  # places of mean, minimum and maximum
 _ROWS_OF_WINDOW = [OF_RUN.index(statistic) for statistic in OF_WINDOW]
 _COUNTED = {"seq", "count", "counter", "timestamp", "time", "ticks"}  # last words of names
-
-Adjacent: TypeAlias = NDArray[np.bool_] | None  # to the number before; None if all are
 
 
 class SignalTable:
@@ -71,7 +68,7 @@ class SignalTable:
         """Return the statistics of a span by column; NaN where a signal has too few numbers."""
         rows = _ROWS_OF_WINDOW if per_window else slice(None)
         found = [
-            _within_a_turn(_statistics(*_within(span, each), of_run=not per_window), periods)[rows]
+            _within_a_turn(_statistics(*_in_span(span, each), of_run=not per_window), periods)[rows]
             for each, periods in zip(self._signals, self._periods, strict=True)
         ]
         numbers = np.concatenate([each.T.ravel() for each in found]) if found else np.empty(0)
@@ -130,7 +127,7 @@ def _rates(values: Floats, times_ns: NDArray[np.int64]) -> Floats:
     return rates
 
 
-def _within(span: Span, signals: Signals) -> tuple[Floats, Adjacent]:
+def _in_span(span: Span, signals: Signals) -> tuple[Floats, Adjacent]:
     """Return the numbers of a span, and which of them are adjacent to the one before."""
     part = span.slice_of(signals.times_ns)
     adjacent = None if signals.adjacent is None else signals.adjacent[part]
