@@ -29,8 +29,6 @@ from oracle_pipeline.bags.batch_storage import BatchMcapWriter, BatchSqlite3Writ
 # The newest that Humble's `ros2 bag` opens; 9 turns the QoS profiles into a list it cannot parse.
 METADATA_VERSION: Literal[8] = 8
 
-NO_HASH = f"RIHS01_{'0' * 64}"  # rosbags requires one; ROS compares it only where both have one
-
 _IDL = "=" * 80 + "\nIDL: "
 
 Information: TypeAlias = dict[str, Any]  # what ``metadata.yaml`` tells of a file or a bag

@@ -164,5 +164,5 @@ def _connection(channel: Channel, schemas: list[Schema]) -> Connection:
     form = MessageDefinitionFormat.MSG
     return Connection(
         channel.id, channel.topic, schema.name, MessageDefinition(form, schema.data),
-        storage.NO_HASH, 0, ConnectionExtRosbag2("cdr", []), None,
+        "", 0, ConnectionExtRosbag2("cdr", []), None,
     )  # fmt: skip

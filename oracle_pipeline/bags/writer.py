@@ -19,7 +19,7 @@ from oracle_pipeline.bags import types
 from oracle_pipeline.bags.content import ContentHash
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.manifest import TopicCount
-from oracle_pipeline.bags.storage import METADATA_VERSION, NO_HASH, Writer
+from oracle_pipeline.bags.storage import METADATA_VERSION, Writer
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.bags.types import TypeDefinition
 
@@ -216,11 +216,7 @@ class BagWriter:
         topic = self._topics[name]
         if topic.connection is None:
             topic.connection = self._writer.add_topic(
-                name,
-                topic.msgtype,
-                topic.definition.text,
-                topic.definition.type_hash or NO_HASH,
-                topic.qos,
+                name, topic.msgtype, topic.definition.text, topic.definition.type_hash, topic.qos
             )
             topic.channel = topic.connection.id
 

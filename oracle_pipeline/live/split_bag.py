@@ -17,13 +17,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
 from oracle_pipeline.bags import types
 from oracle_pipeline.bags.errors import BagError
-from oracle_pipeline.bags.storage import (
-    METADATA_VERSION,
-    NO_HASH,
-    Information,
-    Writer,
-    write_metadata,
-)
+from oracle_pipeline.bags.storage import METADATA_VERSION, Information, Writer, write_metadata
 from oracle_pipeline.bags.unfinished import finish_mcap
 
 _BATCH_BYTES = 2**18  # of messages are packed and stored at a time
@@ -160,7 +154,7 @@ class _File(Writer):
     def connect(self, topic: str, msgtype: str, qos: Sequence[Qos]) -> None:
         """Prepare a topic for its first message in the file."""
         if topic not in self._channels:
-            text, type_hash = types.definition(msgtype), types.type_hash(msgtype) or NO_HASH
+            text, type_hash = types.definition(msgtype), types.type_hash(msgtype)
             self._channels[topic] = self.add_topic(topic, msgtype, text, type_hash, qos).id
 
     def store(self, messages: Sequence[tuple[str, int, bytes]]) -> None:

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+from rosbags.highlevel import AnyReader
 
 from oracle_pipeline.bags import dds
 from oracle_pipeline.bags.run_directory import is_complete_recording
@@ -94,6 +95,8 @@ def test_a_killed_watch_loses_a_second_of_a_slow_topic_and_the_next_one_finishes
     assert is_complete_recording(path)
     with open_run(path, strict=True) as run:
         assert run.bag.topics[WORDS].count == len(kept)
+    with AnyReader([path / "bag"]) as by_another:
+        assert len([1 for c, *_ in by_another.messages() if c.topic == WORDS]) == len(kept)
 
 
 @pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM, signal.SIGINT])

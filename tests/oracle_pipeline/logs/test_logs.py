@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
+from rosbags.highlevel import AnyReader
 
 from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.bags.reader import BagReader
@@ -241,6 +242,20 @@ def test_import_writes_a_bag_that_is_read_as_the_log(tmp_path):
         assert [(m.topic, m.data) for m in log.bag.messages()] == [
             (m.topic, m.data) for m in bag.bag.messages()
         ]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_other_tools_open_an_imported_bag(kind, tmp_path):
+    write, topic, field = samples.SAMPLES[kind]
+    log = write(tmp_path)
+    result = CliRunner().invoke(main, ["import", str(log), "--out", str(tmp_path / "bags")])
+    assert result.exit_code == 0, result.output
+    with AnyReader([tmp_path / "bags" / log.name.removesuffix(log.suffix)]) as bag:
+        messages = [
+            bag.deserialize(data, c.msgtype) for c, _, data in bag.messages() if c.topic == topic
+        ]
+    assert len(messages) == samples.COUNT
+    assert all(np.isfinite(getattr(message, field)).all() for message in messages)
 
 
 def test_guessed_layout_reads_the_same_as_none(tmp_path):
