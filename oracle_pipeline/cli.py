@@ -111,8 +111,8 @@ def _choices(roles: Path | None) -> "RoleChoices | None":
     help="One row for the recording, or one for each window of 5 s (every 2.5 s).")  # fmt: skip
 @click.option(
     "--format", "file_format", type=click.Choice(["text", "json", "parquet"]),
-    help="Text for reading; JSON for jq; Parquet for pandas, units in its schema.  [default: text "
-    "on a terminal, else JSON]")  # fmt: skip
+    help="Text for reading; JSON for jq; Parquet for pandas, units in its schema.  [default: "
+    "Parquet for FILE.parquet, text on a terminal, else JSON]")  # fmt: skip
 @output_option("--output", "File to write; Parquet needs one.  [default: standard output]")
 @click.option(
     "--roles", is_flag=False, flag_value=_SHOWN, metavar="[FILE]",
@@ -144,10 +144,12 @@ def features(
         oracle features data/runs/fake_object/run003
         oracle features my_robot_bag/ --format text | less
         oracle features my_robot_bag/ | jq '.rows[0]["contextual.total_turning"]'
-        oracle features my_robot_bag/ --table window --format parquet --output windows.parquet
-        oracle features bags/* --output features.parquet --format parquet
+        oracle features my_robot_bag/ --table window --output windows.parquet
+        oracle features bags/* --output features.parquet
         oracle features my_robot_bag/ --roles
     """  # noqa: D301 -- click reads the control character
+    if file_format is None and output is not None and output.suffix == ".parquet":
+        file_format = "parquet"
     if file_format == "parquet" and output is None:
         raise click.UsageError("Parquet is a binary format: give a file with --output.")
     if roles == _SHOWN:

@@ -243,7 +243,7 @@ def _check_columns(table: pd.DataFrame, columns: list[str]) -> None:
             f"{_runs(table)} lacks the features {', '.join(unexplained)}, which other runs have; "
             "extract all runs with the same plugins."
         )
-    types = table.dtypes  # a selected column costs a hundred times as much
+    types = table.dtypes.to_dict()  # a selected column costs a hundred times as much
     for column in (*feature_columns(table), *signal_columns(table)):
         if not pd.api.types.is_float_dtype(types[column]):
             raise DatasetError(

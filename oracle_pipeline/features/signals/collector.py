@@ -17,7 +17,7 @@ from oracle_pipeline.features.signals.fields import Numbers, labelled_alike, num
 from oracle_pipeline.robots.robot import Robot
 from oracle_pipeline.robots.roles import is_static
 
-MOST_SIGNALS = 1024  # of a recording
+MOST_SIGNALS = 4096  # of a recording; a PX4 log has about 2,000
 CUT = f"The recording has more than {MOST_SIGNALS} signals"  # begins a note
 MOST_BYTES = 32 * 2**20  # of the messages of a topic that are decoded; the others are passed over
 MOST_MESSAGES = 200_000  # of a topic that are decoded
