@@ -39,7 +39,7 @@ class SignalScaler(FlooredRobustScaler):
     The scale is at least half of the standard deviation, since MAD is 0 for a column that few
     recordings change. A column that most do not change has no scale that can be trusted: any change
     of it counts as at most `OF_CONSTANT` scales, because among hundreds of such columns one changes
-    by chance.
+    by chance. But no chance stops a signal that changes in each recording.
 
     Each statistic has a least scale, relative to what its signal usually does in a recording: what
     a queue or another machine does to messages is no other behaviour, though a simulator sends them
@@ -59,7 +59,8 @@ class SignalScaler(FlooredRobustScaler):
         values = X[self.kept_].to_numpy(dtype=np.float64)
         deviation = np.nanstd(np.where(np.isfinite(values), values, np.nan), axis=0)
         spread = np.nanmedian(np.abs(values - self.center_), axis=0)
-        self.is_constant_ = np.minimum(spread, deviation) <= ROUNDING_FLOOR * np.abs(self.center_)
+        steady = np.minimum(spread, deviation) <= ROUNDING_FLOOR * np.abs(self.center_)
+        self.is_constant_ = steady & ~_can_stand_still(self.kept_, self.center_)
         self.scale_ = np.maximum.reduce(
             [self.scale_, LEAST_SHARE * deviation, _least_scales(self.kept_, self.center_)]
         )
@@ -85,6 +86,13 @@ def _least_scales(columns: Sequence[str], centre: Floats) -> Floats:
         elif is_period:
             least[number] = OF_SEQUENCE_OF_PERIODS
     return least
+
+
+def _can_stand_still(columns: Sequence[str], centre: Floats) -> NDArray[np.bool_]:
+    """Return a mask of the longest standstill of signals that usually change."""
+    usual = dict(zip(columns, centre.tolist(), strict=True))
+    spreads = [f"{c.removesuffix('held')}std" if c.endswith(".held") else "" for c in columns]
+    return np.array([usual.get(spread, 0.0) > 0.0 for spread in spreads])
 
 
 class LargestGroup(OwnDetector):

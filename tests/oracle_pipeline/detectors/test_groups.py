@@ -64,6 +64,16 @@ def test_a_small_change_of_what_is_always_zero_counts_as_that_of_any_constant():
     assert changed == pytest.approx([5.0, 0.0], abs=1e-3)
 
 
+@pytest.mark.parametrize(("spread", "far"), [(1.0, 13.0), (0.0, 5.0)])
+def test_a_signal_that_changes_and_then_stands_still_is_far_and_a_flag_that_is_set_is_not(
+    spread, far
+):
+    normal = pd.DataFrame({"mag.std": np.full(20, spread), "mag.held": np.full(20, 0.004)})
+    scaler = SignalScaler({"mag.held": 0.05}).fit(normal)
+    stuck = scaler.transform(pd.DataFrame({"mag.std": [spread], "mag.held": [0.654]}))[0]
+    assert stuck == pytest.approx([0.0, far])
+
+
 def test_lost_messages_of_a_simulator_are_not_far_and_a_silence_is():
     normal = statistics_of_periods([np.full(200, 0.05)] * 20)
     scaler = SignalScaler({}).fit(normal)
