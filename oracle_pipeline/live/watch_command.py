@@ -248,7 +248,7 @@ def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
     from oracle_pipeline.bags.terminal import aligned_lines, printable
     from oracle_pipeline.live.events import ContractAlarm, GraphTaken, Note, WindowAlarm
     from oracle_pipeline.live.window_scorer import WindowVerdict
-    from oracle_pipeline.scoring.output import HEADINGS, MOST_BREACHES, cells
+    from oracle_pipeline.scoring.output import HEADINGS, cells, first
 
     if isinstance(event, GraphTaken):
         kinds = [vertex.partition(":")[0] for vertex in event.graph]
@@ -272,9 +272,8 @@ def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
         yield from aligned_lines([HEADINGS, *map(cells, verdict.evidence)], indent="    ")
     elif isinstance(event, ContractAlarm):
         yield f"ALARM at {event.at_s:.0f} s, against the contract of the normal recordings:"
-        yield from (f"    {printable(breach.text)}" for breach in event.breaches[:MOST_BREACHES])
-        if (rest := len(event.breaches) - MOST_BREACHES) > 0:
-            yield f"    and {rest} more"
+        told = [printable(breach.text) for breach in event.breaches]
+        yield from (f"    {line}" for line in first(told, "difference", ""))
     elif isinstance(event, Note):
         yield event.text
 

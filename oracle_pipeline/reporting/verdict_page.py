@@ -126,13 +126,13 @@ def write(
 def _shown(
     verdict: Verdict, far: float, frames: Sequence[tuple[float, bytes]] | OracleError
 ) -> _Shown:
-    more = verdict.contract[output.MOST_BREACHES :]
+    more = verdict.contract[output.MOST_TOLD :]
     remarks = [*map(output.family_as_text, verdict.families), *more, *verdict.notes]
     if isinstance(frames, OracleError):
         remarks.append(f"It is not drawn: {frames}")
         frames = ()
     sentences = [
-        *verdict.cautions, *output.breaches(verdict, "the remarks list all"),
+        *verdict.cautions, *output.breaches(verdict, "; the remarks list all"),
         _sentence(verdict, far), *verdict.differences, *output.beside(verdict),
     ]  # fmt: skip
     length = max([length_s(verdict), *(at for at, _ in frames)])

@@ -43,11 +43,11 @@ BREACH = (
     "or the graph are not as in all normal recordings."
 )
 
-MOST_BREACHES = 10  # of the contract that are shown at once
+MOST_TOLD = 10  # breaches of the contract, or notes, that are shown at once
 
+_REST = "; --format json lists all"
 _OUTLYING = 5.0  # spreads of the normal scores above their median
 _MOST_OUTLIERS = 5  # recordings of a card that are listed
-_MOST_NOTES = 8  # on the reference that are shown below verdicts
 
 HEADINGS = ("feature", "value", "usual (5-95 %)", "z", "window", "where")
 
@@ -123,10 +123,7 @@ def as_text(
             )
     if any(verdict.outcome == "breach" for verdict in verdicts):
         lines.append(BREACH)
-    lines += [*shared, *notes[:_MOST_NOTES]]
-    if (more := len(notes) - _MOST_NOTES) > 0:
-        count = count_of(more, "more note")
-        lines.append(f"and {count} on the reference; --format json lists all.")
+    lines += [*first(shared, "note", _REST), *first(notes, "note", f" on the reference{_REST}")]
     return "\n".join([*lines, *cards(verdicts), ""])
 
 
@@ -304,20 +301,26 @@ def paragraph(
     shown = far_out(verdict) if is_normal else verdict.evidence
     if told not in verdict.contract and (shown or not is_normal):
         yield f"    {told}"
-    yield from (f"    {line}" for line in breaches(verdict, "--format json lists all"))
+    yield from (f"    {line}" for line in breaches(verdict, _REST))
     yield from (f"    {line}" for line in beside(verdict))
     if shown or not is_normal:
         yield from aligned_lines([HEADINGS, *map(cells, shown)], indent="    ")
     if verdict.outcome != "normal" and verbose:
         yield from (f"    {family_as_text(family)}" for family in verdict.families)
-    yield from (f"    {remark}" for remark in _remarks(verdict) if remark not in shared)
+    remarks = [remark for remark in _remarks(verdict) if remark not in shared]
+    yield from (f"    {line}" for line in first(remarks, "note", _REST))
 
 
 def breaches(verdict: Verdict, rest: str) -> Iterator[str]:
     """Yield the first breaches of the contract; `rest` says where the others are."""
-    yield from verdict.contract[:MOST_BREACHES]
-    if (more := len(verdict.contract) - MOST_BREACHES) > 0:
-        yield f"and {count_of(more, 'more difference')} from the contract; {rest}."
+    return first(verdict.contract, "difference", f" from the contract{rest}")
+
+
+def first(lines: Sequence[str], noun: str, rest: str) -> Iterator[str]:
+    """Yield the first of many lines, and how many more there are; `rest` ends that sentence."""
+    yield from lines[:MOST_TOLD]
+    if (more := len(lines) - MOST_TOLD) > 0:
+        yield f"and {count_of(more, f'more {noun}')}{rest}."
 
 
 def beside(verdict: Verdict) -> Iterator[str]:

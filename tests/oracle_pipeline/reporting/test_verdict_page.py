@@ -17,7 +17,7 @@ from oracle_pipeline.reporting import verdict_page
 from oracle_pipeline.reporting.badge import as_badge
 from oracle_pipeline.reporting.signal_plots import signal_plots
 from oracle_pipeline.scoring.isolation import Limits
-from oracle_pipeline.scoring.output import MOST_BREACHES
+from oracle_pipeline.scoring.output import MOST_TOLD
 from oracle_pipeline.scoring.verdict import Evidence, Verdict, WindowSeries
 from tests.recorded_runs import linked
 
@@ -94,13 +94,13 @@ def test_a_recording_that_cannot_be_drawn_keeps_its_verdict_with_a_note(tmp_path
 
 
 def test_breaches_come_first_and_many_of_them_leave_room_for_the_picture(recorded_run, page):
-    told = [f"Topic /topic{number} is gone." for number in range(MOST_BREACHES + 3)]
+    told = [f"Topic /topic{number} is gone." for number in range(MOST_TOLD + 3)]
     html = page(anomalous(recorded_run("fake_object").path, contract=tuple(told)))
     above, below = html.split("<img", 1)
-    assert [each in above for each in told] == [True] * MOST_BREACHES + [False] * 3
+    assert [each in above for each in told] == [True] * MOST_TOLD + [False] * 3
     assert above.index(told[0]) < above.index("Of 19 normal recordings")
     assert "and 3 more differences from the contract; the remarks list all." in above
-    assert all(each in below for each in told[MOST_BREACHES:])
+    assert all(each in below for each in told[MOST_TOLD:])
 
 
 def test_names_and_texts_of_a_recording_are_escaped(recorded_run, tmp_path, page):

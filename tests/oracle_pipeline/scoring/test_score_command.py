@@ -463,7 +463,18 @@ def test_many_notes_on_the_reference_do_not_hide_the_verdict() -> None:
     notes = [f"note {i}" for i in range(20)]
     lines = as_text(verdicts, 0.05, notes).splitlines()
     assert lines[1:-1] == notes[: len(lines) - 2]
-    assert len(lines) <= 10
+    assert len(lines) <= 12
     assert f"{len(notes) - len(lines) + 2} more notes" in lines[-1]
     assert json.loads(as_json(verdicts, 0.05, notes))["notes"] == notes  # as the last line says
     assert as_text(verdicts, 0.05, notes[:8]).splitlines()[1:] == notes[:8]
+
+
+@pytest.mark.parametrize("others", [0, 1])
+def test_many_notes_on_a_recording_do_not_hide_the_verdict(others) -> None:
+    notes = tuple(f"note {i}" for i in range(200))
+    verdicts = [Verdict("bag", "normal", p_value=0.5, suite_p_value=0.5, score=0.0, notes=notes)]
+    verdicts += [Verdict("other", "normal", p_value=0.5, suite_p_value=0.5, score=0.0)] * others
+    text = as_text(verdicts, 0.05, [])
+    told = [line for line in text.splitlines() if line.strip().startswith("note ")]
+    assert len(told) in (9, 10)
+    assert f"and {200 - len(told)} more notes; --format json lists all." in text
