@@ -7,6 +7,7 @@ import numpy as np
 from oracle_pipeline.checks.topic import FEWEST, CheckedTopic, Fault, Floats, step_spans, worst
 
 _STEADY = 3.0  # the 95th percentile of a steady topic's periods, in medians
+_SPEAKS = 1 / 3  # of the time, at least
 _GAP, _SHORTEST_GAP_S = 10.0, 0.5  # a gap is both: in periods, and in seconds
 _LATE, _SHORTEST_LATE_S = 5.0, 0.2  # so is a delay before a burst
 _AT_ONCE, _BURST = 0.2, 3  # messages of a burst follow each other in this share of a period
@@ -62,9 +63,13 @@ def steps_back(set_back: Iterable[tuple[float, float]]) -> Iterator[Fault]:
 
 
 def _steps(topic: CheckedTopic) -> tuple[Floats, float]:
-    """Return times between messages, and the period of a steady topic; 0 of another one."""
+    """Return times between messages, and the period of a steady topic; 0 of another one.
+
+    Bursts of messages, such as those of a home position, are not steady.
+    """
     steps = np.diff(topic.times_s)
     if len(steps) < FEWEST:
         return steps, 0.0
     median, high = np.quantile(steps, (0.5, 0.95))
-    return steps, float(median) if 0.0 < high <= _STEADY * median else 0.0
+    speaks = len(steps) * median >= _SPEAKS * steps.sum()
+    return steps, float(median) if speaks and 0.0 < high <= _STEADY * median else 0.0

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.bags.terminal import join_first
+from oracle_pipeline.bags.terminal import count_of, join_first
 from oracle_pipeline.checks.topic import (
     FEWEST,
     CheckedSignal,
@@ -33,6 +33,8 @@ _METRES_PER_DEGREE = 111_320.0
 _EQUAL_SHARE, _EQUAL_RUN, _DISTINCT = 0.05, 10, 50  # of a saturated signal
 _MEASURED = ("m/s^2", "rad/s", "N", "N m", "T", "A", "V")
 _NORM = 0.01  # tolerance of a quaternion's norm
+_SELDOM, _OFTEN = 0.05, 10  # more of the messages without a value, in more stretches, are no fault
+_WRAPS = (2.0**8, 2.0**16, 2.0**32)  # after so many numbers, a counter begins again
 _COUNTS = 0.95  # of a counter's steps are equal
 
 LIMITS: Mapping[tuple[str, str], tuple[float, float]] = of_fields(
@@ -52,6 +54,8 @@ def stuck(topic: CheckedTopic) -> Iterator[Fault]:
     same = np.all([np.diff(signal.values) == 0.0 for signal in lively], axis=0)
     times_s = lively[0].times_s
     found = _long(runs(same), times_s)
+    if topic.is_command:
+        found = found[found[:, 0] > 0]  # before a start, nothing is commanded
     if topic.msgtype.startswith(_MOTION):
         found = found[[_moves(lively, first) for first in found[:, 0].tolist()]]
     if len(found):
@@ -109,11 +113,8 @@ def _is_place(signal: CheckedSignal) -> bool:
 
 
 def _unwrapped(signal: CheckedSignal) -> Floats:
-    values = signal.values[np.isfinite(signal.values)]
-    if len(values) < len(signal.values):
-        values = np.interp(
-            signal.times_s, signal.times_s[np.isfinite(signal.values)], values
-        )  # fmt: skip
+    good = np.isfinite(signal.values)
+    values = np.interp(signal.times_s, signal.times_s[good], signal.values[good])
     period = period_of(signal.name, signal.unit, float(np.abs(values).max()))
     return np.unwrap(values, period=period) if period else values
 
@@ -164,20 +165,17 @@ def limits(topic: CheckedTopic) -> Iterator[Fault]:
 
 
 def _limits(msgtype: str, name: str) -> tuple[float, float]:
-    return next(
-        (
-            both
-            for (of, field), both in LIMITS.items()
-            if of == msgtype and f"{name}.".startswith(f"{field}.")
-        ),
-        (-math.inf, math.inf),
-    )
+    for (of, field), both in LIMITS.items():
+        if of == msgtype and f"{name}.".startswith(f"{field}."):
+            return both
+    return -math.inf, math.inf
 
 
 def not_finite(topic: CheckedTopic) -> Iterator[Fault]:
     """Find NaN and infinity in signals that are finite as a rule."""
     if topic.is_command or topic.msgtype == "sensor_msgs/msg/Range":
         return  # NaN is "as it is" there, and infinity "no return", REP 117
+    places: dict[str, Floats] = {}
     for signal in signals_of(topic):
         bad = ~np.isfinite(signal.values)
         if len(bad) < FEWEST:
@@ -186,12 +184,15 @@ def not_finite(topic: CheckedTopic) -> Iterator[Fault]:
         after = int(np.argmin(bad[::-1]))  # messages after the last number
         if after == 1 or topic.msgtype.startswith(MADE_TYPES):  # a table ends with blank cells
             bad[len(bad) - after :] = False
-        found = np.flatnonzero(bad)
-        if len(found) and bad.mean() < 0.5:
-            yield worst(
-                "not_finite", topic.name, signal.name, _at(signal, found), np.ones(len(found)),
-                "1", f"{signal.name} is NaN or infinite {{count}} times, first at {{at}}",
-            )  # fmt: skip
+        is_none = bad.mean() > _SELDOM and len(runs(bad)) > _OFTEN  # there is often no value
+        if bad.any() and bad.mean() < 0.5 and not is_none:
+            places[signal.name] = _at(signal, np.flatnonzero(bad))
+    if places:
+        spans, names = np.unique(np.concatenate([*places.values()]), axis=0), join_first([*places])
+        yield worst(
+            "not_finite", topic.name, names if len(places) == 1 else "", spans,
+            np.ones(len(spans)), "1", f"NaN or infinity {{count}} times, first at {{at}}: {names}",
+        )  # fmt: skip
 
 
 def rotations(topic: CheckedTopic) -> Iterator[Fault]:
@@ -218,18 +219,19 @@ def counters(topic: CheckedTopic) -> Iterator[Fault]:
         step = float(np.median(steps))
         if step <= 0.0 or np.mean(steps == step) < _COUNTS:
             continue
-        back, skipped = np.flatnonzero(steps < 0.0), np.flatnonzero(steps > 1.5 * step)
+        lost = steps / step - 1.0  # whole numbers; of a time they need not be
+        back = np.flatnonzero((steps < 0.0) & ~np.isin(step - steps, _WRAPS))
+        skipped = np.flatnonzero((lost > 0.0) & (np.mod(lost, 1.0) == 0.0))
         if len(back):
             yield worst(
                 "counter", topic.name, signal.name, step_spans(signal.times_s, back), steps[back],
                 "1", f"{signal.name} goes back by {{size}} at {{at}}, {{count}} times in all",
             )  # fmt: skip
         if len(skipped):
-            lost = steps[skipped] / step - 1.0
             yield worst(
-                "lost", topic.name, signal.name, step_spans(signal.times_s, skipped), lost, "1",
-                f"{signal.name} skips {{size}} numbers at {{at}}; {lost.sum():.0f} messages are "
-                "lost in all",
+                "lost", topic.name, signal.name, step_spans(signal.times_s, skipped), lost[skipped],
+                "1", f"{signal.name} skips {{size}} numbers at {{at}}; "
+                f"{count_of(int(lost[skipped].sum()), 'message')} lost in all",
             )  # fmt: skip
 
 

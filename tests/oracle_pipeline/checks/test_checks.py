@@ -145,6 +145,50 @@ def test_commands_may_pause_and_leave_values_open(name, tmp_path):
     assert not checks & {"gap", "not_finite"}
 
 
+def a_counter_that_begins_again(tables: Tables) -> None:
+    tables["status"]["count"] = (tables["status"]["count"] + 65_500) % 2**16
+
+
+def times_of_samples_with_a_pause(tables: Tables) -> None:
+    tables["status"]["count"] *= 20_000
+    tables["status"].loc[tables["status"].Time >= AT_S, "count"] += 16_000
+
+
+def often_no_value(tables: Tables) -> None:
+    tables["status"].loc[::3, "load"] = np.nan
+
+
+def bursts(tables: Tables) -> None:
+    tables["status"]["Time"] = tables["status"]["Time"] / 8.0 + 5.0 * (tables["status"].index // 60)
+
+
+def outputs_before_the_start(tables: Tables) -> None:
+    imu = tables.pop("imu")
+    imu = imu[["Time", *imu.columns[-6:]]]
+    imu.loc[imu.Time < 2.0, imu.columns[1:]] = 0.5
+    tables["actuator_outputs"] = imu.rename(columns=lambda name: name.replace(".", "_"))
+
+
+AS_PX4_LOGS = [
+    a_counter_that_begins_again, times_of_samples_with_a_pause, often_no_value, bursts,
+    outputs_before_the_start,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("alter", AS_PX4_LOGS, ids=lambda alter: alter.__name__)
+def test_what_a_log_of_a_flight_has_is_no_fault(alter, tmp_path):
+    assert check_recording(drive(tmp_path, alter)) == []
+
+
+def test_numbers_that_are_lost_together_are_one_fault(tmp_path):
+    def lose(tables: Tables) -> None:
+        tables["imu"].loc[500:510, tables["imu"].columns[-6:]] = np.nan
+
+    (fault,) = check_recording(drive(tmp_path, lose))
+    assert (fault.check, fault.signal, fault.places) == ("not_finite", "", 11)
+    assert "angular_velocity.x" in fault.text
+
+
 def test_objects_that_come_and_go_are_no_fault(tmp_path):
     draw, detected = np.random.default_rng(0), message_class("geometry_msgs/msg/PoseArray")
     seen = []
