@@ -46,7 +46,7 @@ FARTHEST = 1e6  # limit of a robustness [scales]
 
 _REQUIREMENTS, _SIGNALS, _LEARNED_FROM = "requirements", "signals", "learned_from"
 _KEYS = ("name", "formula", "scale", "says")
-_LARGEST = 1024 * 1024  # bytes
+_LARGEST = 8 * 1024 * 1024  # bytes; invariants of 4,096 signals have half of that
 _NAME = re.compile(r"[A-Za-z_]\w*")
 
 

@@ -34,6 +34,12 @@ def margin(formula, pairs):
     return -row[0]
 
 
+def test_a_file_as_large_as_the_invariants_of_a_flight_controller_is_read(tmp_path):
+    path, known = tmp_path / "invariants.yaml", Requirement("it", "always (speed <= 1)")
+    path.write_text(dump([known], "\n".join([98 * "x"] * 40_000)), "utf-8")
+    assert load(path) == [known]
+
+
 @given(samples)
 def test_robustness_is_the_smallest_margin_of_any_sample(pairs):
     speed, command = np.array(pairs, dtype=np.float64).T
