@@ -22,13 +22,13 @@ FEWEST = 10  # numbers with a lag
 STEADY = 1e-6  # share of the squared rates of a command: one that changes less tells no lag
 MOST_FOLLOWERS = 4  # of a command; more share only a common name, such as `data`
 _OF_COMMANDS = {
-    "action", "cmd", "cmds", "command", "commanded", "commands", "d", "demand", "demanded", "des",
-    "desired", "leader", "master", "ref", "reference", "setpoint", "setpoints", "sp", "tar",
-    "target", "tgt",
+    "action", "cmd", "command", "commanded", "ctrl", "d", "demand", "demanded", "des", "desired",
+    "leader", "master", "ref", "reference", "setpoint", "sp", "tar", "target", "tgt",
 }  # fmt: skip
 _OF_FOLLOWERS = {
     "act", "actual", "current", "est", "estimate", "estimated", "fb", "feedback", "follower",
-    "meas", "measured", "observation", "odom", "puppet", "state", "states",
+    "meas", "measured", "measurement", "obs", "observation", "odom", "present", "puppet", "real",
+    "sensed", "state",
 }  # fmt: skip
 _NEITHER = {"err", "error", "length"}  # errors that are published, and sizes
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
@@ -94,8 +94,13 @@ def _numbers(signals: Signals, periods: Floats) -> Iterator[_Number]:
 def _words(name: str) -> tuple[bool, Words]:
     """Return whether a name is that of a command, and its other words."""
     words = [word.lower() for word in _WORD.findall(name)]
-    others = tuple(w for w in words if w not in _OF_COMMANDS and w not in _OF_FOLLOWERS)
-    return not _OF_COMMANDS.isdisjoint(words), others
+    others = tuple(w for w in words if not _is_of(_OF_COMMANDS | _OF_FOLLOWERS, w))
+    return any(_is_of(_OF_COMMANDS, word) for word in words), others
+
+
+def _is_of(some: set[str], word: str) -> bool:
+    """Return whether a word, or what it is the plural of, is one of some."""
+    return word in some or word.removesuffix("s") in some
 
 
 def _ends(path: Words) -> list[Words]:

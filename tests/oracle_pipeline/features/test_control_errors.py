@@ -36,6 +36,8 @@ def named(signals):
     [
         (("/cmd_vel", "linear.x"), ("/odom", "twist.twist.linear.x")),  # a mobile base
         (("/action", "kElbow"), ("/observation/state", "kElbow")),  # LeRobot
+        (("/actions", "left_joint_1_pos"), ("/state", "left_joint_1_pos")),
+        (("/servo", "target_position"), ("/servo", "present_position")),
         (("/controller", "desired.positions[0]"), ("/controller", "actual.positions[0]")),
         (("/controller", "reference.positions[0]"), ("/controller", "feedback.positions[0]")),
         (("/joint_commands", "position.elbow"), ("/joint_states", "position.elbow")),
