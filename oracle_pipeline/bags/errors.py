@@ -4,6 +4,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+_LFS_POINTER = b"version https://git-lfs"  # begins the text
+
 
 class OracleError(Exception):
     """Root of the tree; its message states what is wrong, where, and what to do next."""
@@ -32,6 +34,15 @@ class DdsError(OracleError):
 def one_line(error: Exception) -> str:
     """Return what an error of other software says, short and without a full stop."""
     return " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
+
+
+def refuse_pointer(file: Path) -> None:
+    """Raise a `BagError` if a file only stands for a large one of a repository (Git LFS)."""
+    with file.open("rb") as source:
+        if source.read(len(_LFS_POINTER)) == _LFS_POINTER:
+            raise BagError(
+                f"{file} is only a Git LFS pointer; get the file itself with `git lfs pull`."
+            )
 
 
 @contextmanager

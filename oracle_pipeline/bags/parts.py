@@ -15,15 +15,15 @@ from typing import Any
 
 from oracle_pipeline.bags import bounded_yaml, mcap, rosbag1, sqlite
 from oracle_pipeline.bags.compression import ZSTD_MAGIC, unpacked_file
-from oracle_pipeline.bags.errors import BagError, one_line
+from oracle_pipeline.bags.errors import BagError, one_line, refuse_pointer
 from oracle_pipeline.bags.limits import LARGEST_YAML
 from oracle_pipeline.bags.part import Part, ros2_name
 from oracle_pipeline.bags.terminal import join_first
 
 METADATA = "metadata.yaml"
 NO_CHECKSUM = "This format has no checksum: a changed byte in a message cannot be noticed."
+_MAGIC_BYTES = 16  # by which a format is known
 _TOLERANCE_NS = 1_000_000_000  # between times of the metadata and of messages
-_LFS_POINTER = b"version https://git-lfs"  # begins the text that stands for a file in a repository
 
 _FORMATS: tuple[tuple[bytes, Callable[[Path, Path], Part]], ...] = (
     (mcap.MAGIC, mcap.McapPart),
@@ -157,7 +157,7 @@ def _open_file(file: Path, path: Path, found: Parts) -> Part:
     if not stat.S_ISREG(mode):
         raise BagError(f"{path} is a device, a pipe or a socket; only files and folders are read.")
     with file.open("rb") as source:
-        begin = source.read(len(_LFS_POINTER))
+        begin = source.read(_MAGIC_BYTES)
     if not begin:
         raise BagError(f"{path} is empty; the recorder wrote nothing, or the copy failed.")
     if begin.startswith(ZSTD_MAGIC):
@@ -167,10 +167,7 @@ def _open_file(file: Path, path: Path, found: Parts) -> Part:
     for magic, opened in _FORMATS:
         if begin.startswith(magic):
             return opened(file, path)
-    if begin == _LFS_POINTER:
-        raise BagError(
-            f"{path} is only a Git LFS pointer to the bag; get the bag itself with `git lfs pull`."
-        )
+    refuse_pointer(file)
     hint = "For a table, end its name in .csv, .tsv or .parquet."
     if not any(begin):
         hint = "It begins with zeros: the disk was full, or the copy failed."

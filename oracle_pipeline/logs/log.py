@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from oracle_pipeline.bags.errors import BagError, one_line
+from oracle_pipeline.bags.errors import BagError, one_line, refuse_pointer
 
 
 class LogError(BagError):
@@ -23,8 +23,9 @@ def reading(path: Path, kind: str) -> Iterator[None]:
     A package that is not installed stays a ``ModuleNotFoundError``.
     """
     try:
+        refuse_pointer(path)
         yield
-    except (LogError, ModuleNotFoundError):
+    except (BagError, ModuleNotFoundError):
         raise
     except Exception as error:
         raise LogError(f"{path} cannot be read as {kind}: {one_line(error)}.") from error

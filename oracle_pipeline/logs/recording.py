@@ -22,18 +22,10 @@ MADE_TYPES = "log_msgs/msg/"  # begins the names of types that are made for topi
 # The first that fits counts: a table of `linear` and `angular` is a Twist rather than an Accel.
 _CANDIDATES = (
     "nav_msgs/msg/Odometry",
-    "sensor_msgs/msg/Imu",
-    "sensor_msgs/msg/NavSatFix",
-    "sensor_msgs/msg/MagneticField",
-    "sensor_msgs/msg/LaserScan",
-    "sensor_msgs/msg/Range",
+    *map("sensor_msgs/msg/{}".format, ("Imu", "NavSatFix", "MagneticField", "LaserScan", "Range")),
     "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/TwistStamped",
-    "geometry_msgs/msg/WrenchStamped",
-    "geometry_msgs/msg/Pose",
-    "geometry_msgs/msg/Twist",
-    "geometry_msgs/msg/Wrench",
+    *map("geometry_msgs/msg/{}Stamped".format, ("Pose", "Twist", "Wrench")),
+    *map("geometry_msgs/msg/{}".format, ("Pose", "Twist", "Wrench")),
 )
 
 

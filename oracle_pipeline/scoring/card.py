@@ -25,7 +25,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from sklearn.pipeline import Pipeline
 
-from oracle_pipeline.bags.errors import OracleError, one_line
+from oracle_pipeline.bags.errors import BagError, OracleError, one_line, refuse_pointer
 from oracle_pipeline.bags.json_schema import faults
 from oracle_pipeline.clustering.scaling import FlooredRobustScaler
 from oracle_pipeline.datasets import check_runs, is_malicious, parse_table, replacing, table_bytes
@@ -196,6 +196,7 @@ def is_card(path: Path) -> bool:
 def checked_card(path: Path) -> ReferenceCard:
     """Return the card in a file, read and checked in this process; errors as `load`."""
     try:
+        refuse_pointer(path)
         card = _card(*_read(path))
         check_runs(card.runs)
         if is_malicious(card.runs).any():
@@ -205,7 +206,7 @@ def checked_card(path: Path) -> ReferenceCard:
                 check_scorer(scorer, card.runs)
             except ValueError as error:
                 raise ValueError(f"scorer {name}: {error}") from error
-    except (CardError, MemoryError):
+    except (BagError, CardError, MemoryError):
         raise
     except Exception as error:  # whatever fails, the file is at fault
         lacks = "it lacks " if isinstance(error, KeyError) else ""

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from backports import zstd
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader
@@ -19,6 +20,7 @@ from oracle_pipeline.bags.parts import is_recording
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.bags.records import MOST_AT_ONCE
 from oracle_pipeline.bags.types import GROUND_TRUTH_TOPIC
+from oracle_pipeline.cli import main
 from tests.oracle_pipeline.bags.conftest import text
 from tests.oracle_pipeline.bags.makers import STRING, McapOptions, write_db3, write_mcap, write_ros1
 
@@ -167,12 +169,26 @@ def test_an_uncompressed_ros1_chunk_is_as_large_as_it_is(tmp_path):
     assert read(tmp_path / "a.bag") == expected
 
 
+POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n"
+
+
 def test_a_git_lfs_pointer_is_refused_with_the_command_that_gets_the_bag(tmp_path):
-    pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n"
-    (tmp_path / "a.mcap").write_text(pointer)
+    (tmp_path / "a.mcap").write_text(POINTER)
     for path in (tmp_path / "a.mcap", tmp_path):
         with pytest.raises(BagError, match="Git LFS pointer.*git lfs pull"):
             BagReader(path)
+
+
+@pytest.mark.parametrize("name", ["a.bag", "a.ulg", "a.csv", "a.parquet"])
+def test_commands_refuse_a_git_lfs_pointer_to_a_log_or_a_card(name, tmp_path):
+    (tmp_path / name).write_text(POINTER)
+    card = tmp_path / "normal.card"
+    card.write_text(POINTER)
+    of_log = ["features", str(tmp_path / name)]
+    for command in (of_log, ["score", str(tmp_path / name), "--reference", str(card)]):
+        done = CliRunner().invoke(main, command)
+        assert done.exit_code == 2
+        assert "is only a Git LFS pointer; get the file itself with `git lfs pull`" in done.stderr
 
 
 def test_a_part_that_cannot_be_read_is_named_and_the_others_are_read(tmp_path):
