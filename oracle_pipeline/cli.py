@@ -28,6 +28,7 @@ from oracle_pipeline.comparison.compare_command import compare
 from oracle_pipeline.live.watch_command import recover, watch
 from oracle_pipeline.logs.import_command import import_logs
 from oracle_pipeline.options import (
+    RECORDING,
     detector_option,
     format_option,
     output_option,
@@ -388,8 +389,7 @@ def mcp(folder: Path) -> None:
 
 
 @main.command()
-@click.argument("good", metavar="GOOD...", nargs=-1, required=True,
-                type=click.Path(path_type=Path, exists=True))  # fmt: skip
+@click.argument("good", metavar="GOOD...", nargs=-1, required=True, type=RECORDING)
 @output_option("--output", "File to write, such as robot.card.", required=True)
 @output_option("--contract", "File for the contract as YAML, to review and edit.")
 @detector_option

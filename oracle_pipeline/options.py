@@ -36,9 +36,10 @@ def _each_recording(_: Any, __: Any, paths: tuple[Path, ...]) -> tuple[Path, ...
     return tuple(recordings_at(paths))
 
 
+RECORDING = _Recording(path_type=Path)  # or what is read as one, as an episode of a data set
 recordings_argument = click.argument(
     "recordings", metavar="RUN_OR_BAG...", nargs=-1, required=True,
-    type=_Recording(path_type=Path), callback=_each_recording,
+    type=RECORDING, callback=_each_recording,
 )  # fmt: skip
 
 plugins_option = click.option(

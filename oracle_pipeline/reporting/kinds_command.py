@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from oracle_pipeline.options import format_option, output_option, plugins_option, rate_option
+from oracle_pipeline import options
 
 if TYPE_CHECKING:
     from oracle_pipeline.oracles.kind import Material
@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 _ANSWERS = click.Choice(["good", "bad", "?"])
 
 _recordings = click.argument(
-    "recordings", metavar="RUN_OR_BAG...", nargs=-1, required=True,
-    type=click.Path(path_type=Path, exists=True),
+    "recordings", metavar="RUN_OR_BAG...", nargs=-1, required=True, type=options.RECORDING
 )  # fmt: skip
 _reference = click.option(
     "--reference", type=click.Path(path_type=Path, exists=True),
@@ -41,9 +40,9 @@ _requirements = click.option(
 @click.option(
     "--questions", type=click.IntRange(0), default=0, show_default=True,
     help="Number of questions that labels answer in place of a person.")  # fmt: skip
-@rate_option("--far", "False positive rate of each kind, and of all together.")
-@format_option("text", "json", text="Text for reading; one JSON object for programs.")
-@plugins_option
+@options.rate_option("--far", "False positive rate of each kind, and of all together.")
+@options.format_option("text", "json", text="Text for reading; one JSON object for programs.")
+@options.plugins_option
 def kinds(
     recordings: tuple[Path, ...],
     reference: Path | None,
@@ -101,7 +100,7 @@ def kinds(
 @_recordings
 @_reference
 @_requirements
-@output_option(
+@options.output_option(
     "--answers", "JSON file of answers; runs that are in it already are skipped.",
     required=True,
 )  # fmt: skip
@@ -148,9 +147,8 @@ def review(
 
 
 @click.command()
-@click.argument("good", metavar="GOOD...", nargs=-1, required=True,
-                type=click.Path(path_type=Path, exists=True))  # fmt: skip
-@output_option("--output", "YAML file to write.", required=True)
+@click.argument("good", metavar="GOOD...", nargs=-1, required=True, type=options.RECORDING)
+@options.output_option("--output", "YAML file to write.", required=True)
 def invariants(good: tuple[Path, ...], output: Path) -> None:
     """Learn invariants from normal recordings, one line each.
 

@@ -139,7 +139,10 @@ def _errors(command: _Number, follower: _Number) -> Iterator[Prepared]:
 
 
 def _lag_s(errors: Floats, commands: Floats, times_ns: NDArray[np.int64]) -> float:
-    """Return the lag behind smooth commands, by least squares; NaN if they are steady."""
+    """Return the lag behind smooth commands, by least squares; NaN if they are steady.
+
+    Commands that change by rounding errors only would give a lag of years.
+    """
     different = np.flatnonzero(np.diff(times_ns, prepend=-1))
     if len(different) < FEWEST:
         return math.nan
@@ -147,4 +150,5 @@ def _lag_s(errors: Floats, commands: Floats, times_ns: NDArray[np.int64]) -> flo
     changes = rates - rates.mean()
     power = float(changes @ changes)
     told = power > STEADY * float(rates @ rates)
-    return -float(errors[different] @ changes) / power if told else math.nan
+    lag_s = -float(errors[different] @ changes) / power if told else math.nan
+    return lag_s if abs(lag_s) < np.ptp(times_ns) * 1e-9 else math.nan

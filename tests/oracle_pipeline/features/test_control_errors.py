@@ -114,8 +114,17 @@ def test_the_lag_is_that_of_a_copy_that_comes_late(seed, late, offset):
     assert lag == pytest.approx(0.05 * late, rel=0.3, abs=1e-6)
 
 
-def test_there_is_no_lag_behind_a_command_that_stands_still():
-    table = SignalTable([signal("/command", "x"), signal("/state", "x")])
+@given(st.integers(0, 1000), st.floats(-100.0, 100.0))
+def test_there_is_no_lag_behind_a_command_that_stands_still(seed, value):
+    rng = np.random.default_rng(seed)
+    times_ns = np.cumsum(
+        rng.integers(30_000_000, 70_000_000, COUNT)
+    )  # so rates have rounding errors
+    told, own = np.full((COUNT, 1), value), value + rng.normal(size=(COUNT, 1))
+    table = SignalTable([
+        Signals("/command", ("x",), ("",), times_ns, told),
+        Signals("/state", ("x",), ("",), times_ns, own),
+    ])  # fmt: skip
     assert not any(LAG in column for column in table.values(SPAN))
 
 

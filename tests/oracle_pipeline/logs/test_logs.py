@@ -105,6 +105,15 @@ def test_opened_log_leaves_nothing_behind(tmp_path):
     assert not bag.exists()
 
 
+@pytest.mark.parametrize("command", ["learn", "invariants"])
+def test_single_episodes_are_learned_from(command, tmp_path):
+    dataset, output = samples.lerobot(tmp_path).parent, tmp_path / "normal.card"
+    episodes = [str(dataset / f"episode_{number:06d}") for number in range(2)]
+    result = CliRunner().invoke(main, [command, *episodes, "--output", str(output)])
+    told = {"learn": "count as 2 blocks", "invariants": "at least 3 normal runs, but there are 2"}
+    assert told[command] in result.output
+
+
 def test_versions_2_and_3_of_lerobot_give_the_same_episode(tmp_path):
     second, third = (read_log(samples.lerobot(tmp_path, version)) for version in (2, 3))
     for one, other in zip(second.topics, third.topics, strict=True):
