@@ -7,7 +7,7 @@ import numpy as np
 from oracle_pipeline.checks.topic import FEWEST, CheckedTopic, Fault, Floats, step_spans, worst
 
 _STEADY = 3.0  # the 95th percentile of a steady topic's periods, in medians
-_SPEAKS = 1 / 3  # of the time, at least
+_SPEAKS = 0.25  # of the time, at least
 _GAP, _SHORTEST_GAP_S = 10.0, 0.5  # a gap is both: in periods, and in seconds
 _LATE, _SHORTEST_LATE_S = 5.0, 0.2  # so is a delay before a burst
 _AT_ONCE, _BURST = 0.2, 3  # messages of a burst follow each other in this share of a period
