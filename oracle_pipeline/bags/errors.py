@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-_LFS_POINTER = b"version https://git-lfs"  # begins the text
+_LFS_POINTER = b"version https://git-lfs"  # begins the text that stands for a file
 
 
 class OracleError(Exception):
@@ -37,7 +37,7 @@ def one_line(error: Exception) -> str:
 
 
 def refuse_pointer(file: Path) -> None:
-    """Raise a `BagError` if a file only stands for a large one of a repository (Git LFS)."""
+    """Raise a `BagError` if a file is only a Git LFS pointer, as in a clone without large files."""
     with file.open("rb") as source:
         if source.read(len(_LFS_POINTER)) == _LFS_POINTER:
             raise BagError(

@@ -33,7 +33,7 @@ _METRES_PER_DEGREE = 111_320.0
 _EQUAL_SHARE, _EQUAL_RUN, _DISTINCT = 0.05, 10, 50  # of a saturated signal
 _MEASURED = ("m/s^2", "rad/s", "N", "N m", "T", "A", "V")
 _NORM = 0.01  # tolerance of a quaternion's norm
-_SELDOM, _OFTEN = 0.05, 10  # more of the messages without a value, in more stretches, are no fault
+_SHARE, _STRETCHES = 0.05, 10  # without a value: beyond both, that is usual, and no fault
 _WRAPS = (2.0**8, 2.0**16, 2.0**32)  # after so many numbers, a counter begins again
 _COUNTS = 0.95  # of a counter's steps are equal
 
@@ -184,8 +184,8 @@ def not_finite(topic: CheckedTopic) -> Iterator[Fault]:
         after = int(np.argmin(bad[::-1]))  # messages after the last number
         if after == 1 or topic.msgtype.startswith(MADE_TYPES):  # a table ends with blank cells
             bad[len(bad) - after :] = False
-        is_none = bad.mean() > _SELDOM and len(runs(bad)) > _OFTEN  # there is often no value
-        if bad.any() and bad.mean() < 0.5 and not is_none:
+        is_usual = bad.mean() > _SHARE and len(runs(bad)) > _STRETCHES
+        if bad.any() and bad.mean() < 0.5 and not is_usual:
             places[signal.name] = _at(signal, np.flatnonzero(bad))
     if places:
         spans, names = np.unique(np.concatenate([*places.values()]), axis=0), join_first([*places])
@@ -219,7 +219,7 @@ def counters(topic: CheckedTopic) -> Iterator[Fault]:
         step = float(np.median(steps))
         if step <= 0.0 or np.mean(steps == step) < _COUNTS:
             continue
-        lost = steps / step - 1.0  # whole numbers; of a time they need not be
+        lost = steps / step - 1.0  # whole numbers of a counter; of a time they need not be
         back = np.flatnonzero((steps < 0.0) & ~np.isin(step - steps, _WRAPS))
         skipped = np.flatnonzero((lost > 0.0) & (np.mod(lost, 1.0) == 0.0))
         if len(back):

@@ -39,7 +39,7 @@ class SignalScaler(FlooredRobustScaler):
     The scale is at least half of the standard deviation, since MAD is 0 for a column that few
     recordings change. A column that most do not change has no scale that can be trusted: any change
     of it counts as at most `OF_CONSTANT` scales, because among hundreds of such columns one changes
-    by chance. But no chance stops a signal that changes in each recording.
+    by chance. A signal that changes in every recording does not stand still by chance.
 
     Each statistic has a least scale, relative to what its signal usually does in a recording: what
     a queue or another machine does to messages is no other behaviour, though a simulator sends them
