@@ -4,7 +4,7 @@ With hundreds of columns and ten runs, a change of one signal is lost in the dis
 them. Its topic has few columns, so there it stands out.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Self
 
 import numpy as np
@@ -60,9 +60,10 @@ class SignalScaler(FlooredRobustScaler):
         deviation = np.nanstd(np.where(np.isfinite(values), values, np.nan), axis=0)
         spread = np.nanmedian(np.abs(values - self.center_), axis=0)
         steady = np.minimum(spread, deviation) <= ROUNDING_FLOOR * np.abs(self.center_)
-        self.is_constant_ = steady & ~_can_stand_still(self.kept_, self.center_)
+        usual = dict(zip(self.kept_, self.center_.tolist(), strict=True))
+        self.is_constant_ = steady & ~_can_stand_still(usual)
         self.scale_ = np.maximum.reduce(
-            [self.scale_, LEAST_SHARE * deviation, _least_scales(self.kept_, self.center_)]
+            [self.scale_, LEAST_SHARE * deviation, _least_scales(usual)]
         )
         return self
 
@@ -73,11 +74,10 @@ class SignalScaler(FlooredRobustScaler):
         return np.asarray(np.clip(scaled, -limit, limit), dtype=np.float64)
 
 
-def _least_scales(columns: Sequence[str], centre: Floats) -> Floats:
-    """Return the least scale of each column, in its unit."""
-    usual = dict(zip(columns, centre.tolist(), strict=True))
-    least = np.zeros(len(columns))
-    for number, column in enumerate(columns):
+def _least_scales(usual: Mapping[str, float]) -> Floats:
+    """Return the least scale of each column, in its unit, from the usual value of all."""
+    least = np.zeros(len(usual))
+    for number, column in enumerate(usual):
         signal, _, statistic = column.rpartition(".")
         is_period = signal.endswith("/period")
         if found := (OF_PERIODS if is_period else OF_OWN).get(statistic):
@@ -88,10 +88,9 @@ def _least_scales(columns: Sequence[str], centre: Floats) -> Floats:
     return least
 
 
-def _can_stand_still(columns: Sequence[str], centre: Floats) -> NDArray[np.bool_]:
+def _can_stand_still(usual: Mapping[str, float]) -> NDArray[np.bool_]:
     """Return a mask of the longest standstill of signals that usually change."""
-    usual = dict(zip(columns, centre.tolist(), strict=True))
-    spreads = [f"{c.removesuffix('held')}std" if c.endswith(".held") else "" for c in columns]
+    spreads = [f"{c.removesuffix('held')}std" if c.endswith(".held") else "" for c in usual]
     return np.array([usual.get(spread, 0.0) > 0.0 for spread in spreads])
 
 

@@ -48,6 +48,7 @@ MOST_TOLD = 10  # breaches of the contract, or notes, that are shown at once
 _REST = "; --format json lists all"
 _OUTLYING = 5.0  # spreads of the normal scores above their median
 _MOST_OUTLIERS = 5  # recordings of a card that are listed
+_MOST_NOTES = 8  # on the reference that are shown below verdicts
 
 HEADINGS = ("feature", "value", "usual (5-95 %)", "z", "window", "where")
 
@@ -123,7 +124,8 @@ def as_text(
             )
     if any(verdict.outcome == "breach" for verdict in verdicts):
         lines.append(BREACH)
-    lines += [*first(shared, "note", _REST), *first(notes, "note", f" on the reference{_REST}")]
+    lines += first(shared, "note", _REST)
+    lines += first(notes, "note", f" on the reference{_REST}", _MOST_NOTES)
     return "\n".join([*lines, *cards(verdicts), ""])
 
 
@@ -316,10 +318,10 @@ def breaches(verdict: Verdict, rest: str) -> Iterator[str]:
     return first(verdict.contract, "difference", f" from the contract{rest}")
 
 
-def first(lines: Sequence[str], noun: str, rest: str) -> Iterator[str]:
+def first(lines: Sequence[str], noun: str, rest: str, most: int = MOST_TOLD) -> Iterator[str]:
     """Yield the first of many lines, and how many more there are; `rest` ends that sentence."""
-    yield from lines[:MOST_TOLD]
-    if (more := len(lines) - MOST_TOLD) > 0:
+    yield from lines[:most]
+    if (more := len(lines) - most) > 0:
         yield f"and {count_of(more, f'more {noun}')}{rest}."
 
 

@@ -117,9 +117,8 @@ def test_the_lag_is_that_of_a_copy_that_comes_late(seed, late, offset):
 @given(st.integers(0, 1000), st.floats(-100.0, 100.0))
 def test_there_is_no_lag_behind_a_command_that_stands_still(seed, value):
     rng = np.random.default_rng(seed)
-    times_ns = np.cumsum(
-        rng.integers(30_000_000, 70_000_000, COUNT)
-    )  # so rates have rounding errors
+    # Rates have rounding errors if times are not even.
+    times_ns = np.cumsum(rng.integers(30_000_000, 70_000_000, COUNT))
     told, own = np.full((COUNT, 1), value), value + rng.normal(size=(COUNT, 1))
     table = SignalTable([
         Signals("/command", ("x",), ("",), times_ns, told),

@@ -463,7 +463,7 @@ def test_many_notes_on_the_reference_do_not_hide_the_verdict() -> None:
     notes = [f"note {i}" for i in range(20)]
     lines = as_text(verdicts, 0.05, notes).splitlines()
     assert lines[1:-1] == notes[: len(lines) - 2]
-    assert len(lines) <= 12
+    assert len(lines) <= 10
     assert f"{len(notes) - len(lines) + 2} more notes" in lines[-1]
     assert json.loads(as_json(verdicts, 0.05, notes))["notes"] == notes  # as the last line says
     assert as_text(verdicts, 0.05, notes[:8]).splitlines()[1:] == notes[:8]
