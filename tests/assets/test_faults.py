@@ -72,9 +72,12 @@ def test_an_interrupted_evaluation_ends_soon_and_leaves_nothing(
     root = tmp_path / "data"
     shutil.copytree(campaign.root, root)
     expected = state_of_aggregates(root)
-    running = start_asset(tmp_path, ["oracle_evaluation"])
-    wait_for_step(tmp_path, running)
-    assert end(running, "terminate") == []
+    for _ in range(9):  # on a busy machine, it may have ended before
+        running = start_asset(tmp_path, ["oracle_evaluation"])
+        wait_for_step(tmp_path, running)
+        assert end(running, "terminate") == []
+        if running.returncode != 0:
+            break
     assert running.returncode != 0
     assert compared(root, expected) == []
 
