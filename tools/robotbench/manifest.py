@@ -33,6 +33,8 @@ MANIFEST = {
         "7ebbf089eafd57cace82e441fb5126cee481cb6919e2a576eae7f0f40866c2cb"),
     "auv": Files(("*/*/*.csv",), 1_225,
         "f373416e4c5df9901f8fcccfe459ba0088118341a9b652b1a9329bac58a2f540"),
+    "shaft": Files(("M*Mode/*.csv",), 149,
+        "0e856cc1b67ae19163906c2726f9cfcf80bfbda271459a4830175e97656cda56"),
 }  # fmt: skip
 
 

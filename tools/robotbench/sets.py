@@ -16,9 +16,28 @@ from oracle_pipeline.logs.recording import write_bag
 from tools.robotbench.faults import FAULTS, OF_JOINTS, Positions, Tables
 
 # Length of the parts of long recordings.
-_PART_S = {"kairos": 8.0, "faults": 15.0, "arm": 15.0, "flight": 15.0, "aeroplane": 15.0}
+_PART_S = {
+    "kairos": 8.0,
+    "faults": 15.0,
+    "arm": 15.0,
+    "flight": 15.0,
+    "aeroplane": 15.0,
+    "shaft": 5.0,
+}
 _UCI_STEP_S = 0.315 / 15
 _UCI_COLUMNS = ("fx", "fy", "fz", "tx", "ty", "tz")
+_OF_SHAFT = (
+    "Desired",
+    "Actual",
+    "Shaft",
+    "Orient",
+    "AngVel",
+    "LinAcc",
+    "Mag",
+    "Quat",
+    "Audio",
+    "Strain",
+)  # what is measured; other columns say what is done to the shaft
 _FLYING_US = 1250  # width of a motor's pulse, above which the quadcopter flies
 
 
@@ -188,6 +207,29 @@ def underwater(fault: str) -> Callable[[Path, Path], Iterator[Case]]:
     return load
 
 
+def shaft(folder: str, mode: str) -> Callable[[Path, Path], Iterator[Case]]:
+    """Return the loader of seconds of a motor's shaft, without a fault and with one all the time.
+
+    The fault comes and goes within sequences, so both are of the same ones.
+    """
+
+    def load(source: Path, work: Path) -> Iterator[Case]:
+        for file in sorted(source.glob(f"{folder}/*.csv")):
+            table = pd.read_csv(file, low_memory=False, skipinitialspace=True)
+            faulty, times_s = table[f"{mode}-mode?"].astype(bool), table["Time"] / 1000.0
+            measured = table[[c for c in table.columns if str(c).startswith(_OF_SHAFT)]]
+            measured.insert(0, "time", times_s)
+            run = (faulty != faulty.shift()).cumsum()
+            for number, rows in measured.groupby(run):
+                parts = ((rows["time"] - rows["time"].iloc[0]) // _PART_S["shaft"]).astype(int)
+                for part in range(parts.iloc[-1]):
+                    path = work / f"{file.stem}_{number:03d}_{part:03d}.csv"
+                    rows[parts == part].to_csv(path, index=False)
+                    yield Case(path, file.stem, bool(faulty[rows.index[0]]))
+
+    return load
+
+
 def _time_parts(file: Path) -> Iterator[pd.DataFrame]:
     """Cut a table into parts of equal length, from its end."""
     table = pd.read_csv(file)
@@ -272,5 +314,8 @@ SETS: Mapping[str, tuple[str, str, Callable[[Path, Path], Iterator[Case]]]] = {
     "auv_depth": ("auv", "underwater", underwater("PressureGain_constant")),
     "auv_propeller": ("auv", "underwater", underwater("PropellerDamage_bad")),
     "auv_cut": ("auv", "underwater", underwater("PropellerDamage_slight")),
+    "shaft_load": ("shaft", "motor's shaft", shaft("Manual N Mode", "N")),
+    "shaft_vibration": ("shaft", "motor's shaft", shaft("MC-generated V Mode", "V")),
+    "shaft_damping": ("shaft", "motor's shaft", shaft("Manual D Mode", "D")),
     "quadcopter_line": ("quadcopter", "quadrotor", quadcopter("Straight line")),
 }
