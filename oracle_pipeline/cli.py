@@ -417,9 +417,9 @@ def learn(
     """  # noqa: D301 -- click reads the control character
     from oracle_pipeline.features import build_manager
     from oracle_pipeline.scoring.card import SUFFIX
+    from oracle_pipeline.scoring.card_output import RATES, card_as_text, lowest_far
     from oracle_pipeline.scoring.contract_file import contract_as_yaml
     from oracle_pipeline.scoring.learning import learn as learn_card
-    from oracle_pipeline.scoring.output import RATES, card_as_text, lowest_far
     from oracle_pipeline.scoring.reference import read_reference
 
     if output.suffix != SUFFIX:

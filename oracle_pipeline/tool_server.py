@@ -24,6 +24,7 @@ from oracle_pipeline.replay.scene import top_down
 from oracle_pipeline.replay.story import run_scene
 from oracle_pipeline.scoring import output
 from oracle_pipeline.scoring.card import SUFFIX
+from oracle_pipeline.scoring.card_output import card_as_text
 from oracle_pipeline.scoring.isolation import run_isolated
 from oracle_pipeline.scoring.sentences import sentence
 
@@ -52,7 +53,7 @@ class Tools:
         place = self._inside(card, SUFFIX)
         learned = api.learn(good)
         learned.save(place)
-        return f"{output.card_as_text(learned)}\nCard: {place}"
+        return f"{card_as_text(learned)}\nCard: {place}"
 
     def score(self, recordings: list[str], reference: str, far: float = 0.05) -> dict[str, Any]:
         """Judge recordings by a card or a folder of normal recordings, at a false positive rate."""

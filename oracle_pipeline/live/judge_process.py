@@ -26,11 +26,11 @@ from oracle_pipeline.features import build_manager
 from oracle_pipeline.features.engine.kept_rows import Carried
 from oracle_pipeline.features.extraction import extract_window
 from oracle_pipeline.graphs.intervals import Interval
+from oracle_pipeline.live.events import WindowVerdict
 from oracle_pipeline.live.recent import CONTEXT_S, RecentMessages
-from oracle_pipeline.live.window_scorer import WindowScorer, WindowVerdict
 from oracle_pipeline.robots.robot import find_robots
 from oracle_pipeline.scoring.alarms import AlarmWatch
-from oracle_pipeline.scoring.card import ReferenceCard
+from oracle_pipeline.scoring.contract import Contract
 
 _END_S = 10.0  # until the process is killed
 _INBOX = 10_000  # requests that may wait
@@ -99,9 +99,6 @@ class JudgeProcess:
     """
 
     def __init__(self, card: Path, alarms_per_h: float | None, plugins: Path | None = None) -> None:
-        known = ReferenceCard.load(card)
-        WindowScorer(known, alarms_per_h)  # a bad card raises an error at once
-        self.contract = known.contract
         self.left_out = 0
         self._behind = 0  # windows without an answer
         self._of_before = 0  # of these, how many are of a segment that has ended
@@ -109,11 +106,16 @@ class JudgeProcess:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(
-            target=_work, args=(theirs, known, alarms_per_h, plugins), name="judge", daemon=True
+            target=_work, args=(theirs, card, alarms_per_h, plugins), name="judge"
         )
         with no_program(), _without_interrupts():
             self._process.start()
         theirs.close()
+        try:
+            self.contract = self._first_answer()
+        except BaseException:  # of Ctrl-C, too: the process ends with its pipe
+            self._pipe.close()
+            raise
 
     def add_topic(self, name: str, msgtype: str, qos: tuple[Qos, ...]) -> None:
         """Announce a topic, or more publishers of it."""
@@ -198,6 +200,16 @@ class JudgeProcess:
         self._pipe.close()
         return last
 
+    def _first_answer(self) -> Contract | None:
+        """Return the contract of the card; a bad card raises an error at once."""
+        try:
+            answer: Contract | OracleError | None = self._pipe.recv()
+        except (EOFError, ConnectionError):
+            raise self._death() from None
+        if isinstance(answer, OracleError):
+            raise answer
+        return answer
+
     def _send(self, request: _Request) -> None:
         with contextlib.suppress(OSError):  # it has died; `verdicts` raises the error
             self._pipe.send(request)
@@ -221,15 +233,19 @@ def _without_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _work(
-    pipe: Connection, reference: ReferenceCard, alarms_per_h: float | None, plugins: Path | None
-) -> None:
+def _work(pipe: Connection, card: Path, alarms_per_h: float | None, plugins: Path | None) -> None:
     """Judge windows in the other process, until the end is requested."""
-    # A thread empties the pipe while a window is judged, so that the watch need not wait.
-    inbox = _Inbox(pipe)
+    # Not by the process that records, which begins a second earlier without scikit-learn.
+    from oracle_pipeline.live.window_scorer import WindowScorer
+    from oracle_pipeline.scoring.card import ReferenceCard
+
     try:
+        reference = ReferenceCard.load(card)
         manager = build_manager(plugins)
         scorer = WindowScorer(reference, alarms_per_h)
+        pipe.send(reference.contract)
+        # A thread empties the pipe while a window is judged, so that the watch need not wait.
+        inbox = _Inbox(pipe)
         recent = RecentMessages()
         robots: dict[str, _JudgedRobot] = {}
         while (request := inbox.take()) is not None:

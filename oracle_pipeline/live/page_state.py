@@ -17,7 +17,6 @@ from oracle_pipeline.bags.reader import Topic
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.bags.types import typestore
 from oracle_pipeline.live import events
-from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.robots.robot import names_of_robots
 from oracle_pipeline.scoring.output import HEADINGS, cells
 
@@ -61,7 +60,7 @@ class PageState:
             elif isinstance(event, events.GraphTaken):
                 self._graph = _graph(event)
                 self._change("graph")
-            elif isinstance(event, WindowVerdict):
+            elif isinstance(event, events.WindowVerdict):
                 self._verdicts.append(_verdict(event))
                 self._change("verdicts")
             elif isinstance(event, events.WindowAlarm | events.ContractAlarm):
@@ -167,7 +166,7 @@ def _graph(event: events.GraphTaken) -> Part:
     }
 
 
-def _verdict(event: WindowVerdict) -> Part:
+def _verdict(event: events.WindowVerdict) -> Part:
     return {
         "end_s": event.end_s,
         "score": event.score if event.judged and math.isfinite(event.score) else None,

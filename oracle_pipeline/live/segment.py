@@ -12,13 +12,12 @@ from oracle_pipeline.bags.protocol import INTERVAL_S, MIN_INTERVAL_S
 from oracle_pipeline.bags.reader import RawMessage
 from oracle_pipeline.graphs.intervals import Interval
 from oracle_pipeline.live.contract_watch import ContractWatch
-from oracle_pipeline.live.events import ContractAlarm, Event, GraphTaken
+from oracle_pipeline.live.events import ContractAlarm, Event, GraphTaken, WindowVerdict
 from oracle_pipeline.live.graph_snapshot import snapshot
 from oracle_pipeline.live.intake import PACKETS_S
 from oracle_pipeline.live.judge_process import JudgeProcess
 from oracle_pipeline.live.recorder import Recorder
 from oracle_pipeline.live.time_base import Stamped
-from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
 _SECOND_NS = 1_000_000_000

@@ -18,9 +18,9 @@ from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.limits import MOST_CHANNELS
 from oracle_pipeline.bags.protocol import is_hidden
 from oracle_pipeline.bags.qos_profiles import is_latched, is_reliable
+from oracle_pipeline.live import events
 from oracle_pipeline.live.black_box import BlackBox, Keep
 from oracle_pipeline.live.contract_watch import ContractWatch
-from oracle_pipeline.live.events import ContractAlarm, Event, MessageReceived, Note, WindowAlarm
 from oracle_pipeline.live.intake import Received
 from oracle_pipeline.live.judge_process import JudgeProcess
 from oracle_pipeline.live.recorder import Recorder
@@ -28,7 +28,6 @@ from oracle_pipeline.live.segment import Segment
 from oracle_pipeline.live.source import Source
 from oracle_pipeline.live.split_bag import Message, Split
 from oracle_pipeline.live.time_base import CLOCK_TOPIC, RobotTime, Stamped, Step
-from oracle_pipeline.live.window_scorer import WindowVerdict
 
 _SETTLE_S = 2.0  # from the first topic until discovery is taken to be complete
 _DISCOVERY_S = 0.1  # rosbag2 looks for new topics this often
@@ -104,10 +103,10 @@ class Watch:
         self._black_box = None if keep is None else BlackBox(keep)
         self._triggers = frozenset() if keep is None else keep.topics
         self._stopped = False
-        self._judge = None if card is None else JudgeProcess(card, alarms_per_h, plugins)
-        self._contract = None if self._judge is None else self._judge.contract
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)  # an unusable folder raises an error at once
+        self._judge = None if card is None else JudgeProcess(card, alarms_per_h, plugins)
+        self._contract = None if self._judge is None else self._judge.contract
         self.discovery, self._intake = source.discovery, source.intake
         self._announced: dict[str, list[Endpoint]] = {}  # publishers so far, by topic
         self._unsupported: set[str] = set()  # topics that cannot be recorded
@@ -115,7 +114,7 @@ class Watch:
         self._time = RobotTime(simulated=False)
         self._segment: Segment | None = None
         self._early = Disturbances()  # what was lost just before a segment
-        self._pending: deque[Event] = deque()
+        self._pending: deque[events.Event] = deque()
 
     def stop(self) -> None:
         """End the iteration soon; a signal handler or another thread may call it."""
@@ -124,7 +123,7 @@ class Watch:
     def trigger(self, reason: str) -> None:
         """Keep the time around now, with a black box; a signal handler may call it."""
         if self._segment is not None and self._black_box is not None:
-            self._pending.append(Note(f"The time around now is kept: {reason}."))
+            self._pending.append(events.Note(f"The time around now is kept: {reason}."))
             self._black_box.alarm(self._segment.duration_s, {"trigger": reason})
 
     def __enter__(self) -> Self:
@@ -138,7 +137,7 @@ class Watch:
             if self._judge is not None:
                 self._judge.close()
 
-    def __iter__(self) -> Iterator[Event]:
+    def __iter__(self) -> Iterator[events.Event]:
         """Yield events until `stop` is called."""
         self._settle()
         discovered = flushed = 0.0
@@ -203,7 +202,7 @@ class Watch:
             self._intake.subscribe(topic, publishers[0].msgtype, reliable=reliable, latched=latched)
         except OracleError as error:
             self._unsupported.add(topic)
-            self._pending.append(Note(f"{topic} is not recorded: {error}"))
+            self._pending.append(events.Note(f"{topic} is not recorded: {error}"))
             return
         if latched:
             self._latched[topic] = deque(maxlen=_LATCHED)
@@ -211,7 +210,7 @@ class Watch:
     def _announce(self, topic: str, publishers: list[Endpoint]) -> None:
         if not all(self._intake.accepts(topic, each.qos) for each in publishers):
             self._pending.append(
-                Note(
+                events.Note(
                     f"A later publisher of {topic} offers a QoS that is not compatible with the "
                     "subscription, so its messages are not received. Start the watch again to "
                     "receive all."
@@ -225,7 +224,7 @@ class Watch:
 
     # Messages.
 
-    def _process(self, came: list[Received]) -> Iterator[Event]:
+    def _process(self, came: list[Received]) -> Iterator[events.Event]:
         """Pass messages to the segment that they belong to."""
         for each in self._time.stamped(came):
             if isinstance(each, Step):
@@ -243,7 +242,7 @@ class Watch:
             if message.topic in self._triggers:
                 self.trigger(f"a message on {message.topic}")
             msgtype = self._intake.topics[message.topic]
-            yield MessageReceived(message.topic, msgtype, stamp_ns, message.data)
+            yield events.MessageReceived(message.topic, msgtype, stamp_ns, message.data)
         if self._segment is not None:
             self._segment.forward()
 
@@ -262,7 +261,7 @@ class Watch:
         new = Disturbances(self._intake.lost(), self._intake.lost_packets())
         self.losses.add(new)
         if told := new.loss():
-            self._pending.append(Note(told))
+            self._pending.append(events.Note(told))
         if self._segment is None:
             self._early.add(new)
         elif told or is_busy:
@@ -319,13 +318,13 @@ class Watch:
     def _step(self, step: Step) -> None:
         """End the segment; the next message begins another one."""
         if self._segment is not None:
-            self._pending.append(Note(f"{step.reason} Another recording begins."))
+            self._pending.append(events.Note(f"{step.reason} Another recording begins."))
             self._collect(_VERDICT_S)
             self._end_segment()
             if self._judge is not None:
                 self._judge.begin()
         else:
-            self._pending.append(Note(step.reason))
+            self._pending.append(events.Note(step.reason))
 
     def _flush(self) -> None:
         """Write what was recorded to the disk."""
@@ -335,7 +334,7 @@ class Watch:
         recorder.facts |= self._facts(recorder)
         recorder.flush()
         if recorder.ended:
-            self._pending.append(Note(f"Nothing more is recorded: {recorder.ended}."))
+            self._pending.append(events.Note(f"Nothing more is recorded: {recorder.ended}."))
 
     def _facts(self, recorder: Recorder) -> dict[str, Any]:
         assert self._segment is not None  # noqa: S101 -- set by the first message
@@ -349,7 +348,7 @@ class Watch:
         if self._black_box is None:
             recorder.close()
         elif self._black_box.take(recorder):
-            self._pending.append(Note(f"Kept: {recorder.path}", recorder.path))
+            self._pending.append(events.Note(f"Kept: {recorder.path}", recorder.path))
         self.recordings = [path for path in self.recordings if path.exists()]
 
     def _end_segment(self) -> None:
@@ -371,31 +370,30 @@ class Watch:
                 for verdict in self._judge.verdicts(timeout_s):
                     self._judged(verdict)
                 if left_out := self._judge.left_out - before:
-                    self._pending.append(
-                        Note(f"{left_out} windows were not judged: this machine is too slow.")
-                    )
+                    told = f"{left_out} windows were not judged: this machine is too slow."
+                    self._pending.append(events.Note(told))
             except OracleError as error:  # the recording goes on
                 self._judge.close()
                 self._judge = None
-                self._pending.append(Note(str(error)))
+                self._pending.append(events.Note(str(error)))
 
-    def _judged(self, verdict: WindowVerdict) -> None:
+    def _judged(self, verdict: events.WindowVerdict) -> None:
         self._pending.append(verdict)
         if verdict.alarm:
-            self._report(WindowAlarm(verdict))
+            self._report(events.WindowAlarm(verdict))
 
-    def _report(self, event: Event) -> None:
+    def _report(self, event: events.Event) -> None:
         """Pass on an event; an alarm is kept."""
         self._pending.append(event)
         if self._black_box is None:
             return
-        if isinstance(event, WindowAlarm):
+        if isinstance(event, events.WindowAlarm):
             self._black_box.alarm(event.verdict.end_s, asdict(event.verdict))
-        elif isinstance(event, ContractAlarm):
+        elif isinstance(event, events.ContractAlarm):
             told = {"contract": [breach.text for breach in event.breaches]}
             self._black_box.alarm(event.at_s, told)
 
-    def _finish(self) -> Iterator[Event]:
+    def _finish(self) -> Iterator[events.Event]:
         """Take what has come, end the segment, and wait for the last verdicts."""
         came = self._intake.take()
         self._count_losses()

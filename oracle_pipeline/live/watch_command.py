@@ -110,7 +110,7 @@ def watch(
         oracle watch --zenoh tcp/192.168.1.20:7447 --out recordings/
     """  # noqa: D301 -- click reads the control character
     from oracle_pipeline.bags.dds_names import default_domain
-    from oracle_pipeline.live.events import ContractAlarm, Note, WindowAlarm
+    from oracle_pipeline.live import events
     from oracle_pipeline.live.watch import Watch
 
     if learn is not None:
@@ -143,10 +143,10 @@ def watch(
             signal.setitimer(signal.ITIMER_REAL, duration)
         click.echo(f"Watching domain {number}; Ctrl-C ends it.", err=True)
         for event in watching:
-            alarms += isinstance(event, WindowAlarm | ContractAlarm)
+            alarms += isinstance(event, events.WindowAlarm | events.ContractAlarm)
             if page is not None:
                 page.show(event)
-            if isinstance(event, Note) and event.kept is not None:
+            if isinstance(event, events.Note) and event.kept is not None:
                 films.append(_begin_film(event.kept))
             for line in lines_of(event, watching, file_format):
                 click.echo(line)
@@ -246,54 +246,52 @@ def lines_of(event: "Event", watching: "Watch", file_format: str) -> Iterator[st
 def _as_text(event: "Event", watching: "Watch") -> Iterator[str]:
     """Yield the lines of text of an event."""
     from oracle_pipeline.bags.terminal import aligned_lines, printable
-    from oracle_pipeline.live.events import ContractAlarm, GraphTaken, Note, WindowAlarm
-    from oracle_pipeline.live.window_scorer import WindowVerdict
+    from oracle_pipeline.live import events
     from oracle_pipeline.scoring.output import HEADINGS, cells, first
 
-    if isinstance(event, GraphTaken):
+    if isinstance(event, events.GraphTaken):
         kinds = [vertex.partition(":")[0] for vertex in event.graph]
         yield (
             f"{event.start_s:6d} s  graph: {kinds.count('node')} nodes, "
             f"{kinds.count('topic')} topics; {watching.received} messages so far"
         )
-    elif isinstance(event, WindowVerdict) and not event.judged:
+    elif isinstance(event, events.WindowVerdict) and not event.judged:
         yield f"{event.end_s:6.0f} s  not judged: the robot starts or leaves"
-    elif isinstance(event, WindowVerdict):
+    elif isinstance(event, events.WindowVerdict):
         shown = "usual" if event.is_usual else "UNUSUAL"
         yield (
             f"{event.end_s:6.0f} s  {shown.ljust(7)} score {event.score:.3g}, "
             f"p = {event.p_value:.3g} among normal windows{event.robot and f' of {event.robot}'}"
             f"{'' if event.timed else ', without rate and timing: this machine is too busy'}"
         )
-    elif isinstance(event, WindowAlarm):
+    elif isinstance(event, events.WindowAlarm):
         verdict = event.verdict
         of = verdict.robot and f" of {verdict.robot}"
         yield f"ALARM in the window from {verdict.start_s:g} s to {verdict.end_s:g} s{of}:"
         yield from aligned_lines([HEADINGS, *map(cells, verdict.evidence)], indent="    ")
-    elif isinstance(event, ContractAlarm):
+    elif isinstance(event, events.ContractAlarm):
         yield f"ALARM at {event.at_s:.0f} s, against the contract of the normal recordings:"
         told = [printable(breach.text) for breach in event.breaches]
         yield from (f"    {line}" for line in first(told, "difference", ""))
-    elif isinstance(event, Note):
+    elif isinstance(event, events.Note):
         yield event.text
 
 
 def _as_json(event: "Event") -> Iterator[str]:
     """Yield an event as an object with one key, its kind; messages are left out."""
-    from oracle_pipeline.live.events import ContractAlarm, GraphTaken, Note, WindowAlarm
-    from oracle_pipeline.live.window_scorer import WindowVerdict
+    from oracle_pipeline.live import events
 
     document: dict[str, Any]
-    if isinstance(event, GraphTaken):
+    if isinstance(event, events.GraphTaken):
         document = {"graph": {"start_s": event.start_s, "elements": len(event.graph)}}
-    elif isinstance(event, WindowVerdict):
+    elif isinstance(event, events.WindowVerdict):
         document = {"window": dataclasses.asdict(event)}
-    elif isinstance(event, WindowAlarm):
+    elif isinstance(event, events.WindowAlarm):
         document = {"alarm": dataclasses.asdict(event.verdict)}
-    elif isinstance(event, ContractAlarm):
+    elif isinstance(event, events.ContractAlarm):
         breaches = [breach.text for breach in event.breaches]
         document = {"alarm": {"end_s": event.at_s, "contract": breaches}}
-    elif isinstance(event, Note):
+    elif isinstance(event, events.Note):
         document = {"note": event.text}
     else:
         return

@@ -4,38 +4,19 @@ Scores and alarm rule are those of the card, so ``oracle score`` raises the same
 finished recording.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import pandas as pd
 
 from oracle_pipeline.clustering.scaling import CLIP
 from oracle_pipeline.datasets import WINDOW_START, field_metadata
 from oracle_pipeline.detectors.explain import LEAST_Z
+from oracle_pipeline.live.events import WindowVerdict
 from oracle_pipeline.scoring.alarms import RATE_PER_H, AlarmWatch
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.evidence import SHOWN
 from oracle_pipeline.scoring.verdict import Evidence, ScoringError
 
 _USUAL = 1.645  # scales around the median that hold 90 % of a normal distribution
-
-
-@dataclass(frozen=True, slots=True)
-class WindowVerdict:
-    """The verdict on one window of a recording in progress."""
-
-    start_s: float  # since the start of the recording
-    end_s: float
-    score: float  # higher is more anomalous
-    p_value: float  # share of normal windows that score at least as high
-    is_usual: bool  # it adds nothing to the alarm statistic
-    alarm: bool  # it raised an alarm
-    evidence: tuple[Evidence, ...] = ()  # the features farthest from usual
-    latency_s: float = 0.0  # wall time from the end of the window to the verdict
-    timed: bool = True  # whether features of rate and timing counted
-    alarm_score: float = 0.0  # above it, one window raises an alarm by itself
-    robot: str = ""  # its namespace; empty if it is the only one
-    judged: bool = True  # false while the robot starts or leaves: the score says nothing
 
 
 class WindowScorer:
@@ -83,14 +64,13 @@ class WindowScorer:
         """Judge a robot's next window by its row of features."""
         score = float(self._scorer.window_scores(row)[0])
         higher = len(self._normal) - int(np.searchsorted(self._normal, score))
-        alarm = alarms.feed(end_s, score, self._scorer.window_families(row)[0])
         return WindowVerdict(
             start_s=float(row[WINDOW_START].iloc[0]),
             end_s=end_s,
             score=score,
             p_value=(1 + higher) / (1 + len(self._normal)),
             is_usual=score <= self.rule.allowance,
-            alarm=alarm is not None,
+            alarm=alarms.feed(end_s, score, self._scorer.window_families(row)[0]) is not None,
             evidence=self._evidence(row),
             alarm_score=self.rule.allowance + self.rule.threshold * self.rule.reach[0],
         )

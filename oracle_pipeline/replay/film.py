@@ -21,16 +21,7 @@ from PIL import Image
 
 from oracle_pipeline.bags.terminal import progress_bar
 from oracle_pipeline.datasets import replacing
-from oracle_pipeline.replay.scene import (
-    FAKE_OBJECT,
-    NOT_REACHED,
-    REACHED,
-    Moment,
-    ReplayScene,
-    draw_grid,
-    draw_ground,
-    set_grid,
-)
+from oracle_pipeline.replay import scene as scenes
 from oracle_pipeline.reporting.figures import AMBER, COLORS, INK, SERIES, house_style
 
 # Suffix of a film -> Pillow's options.
@@ -60,7 +51,7 @@ _COSTS[99:101, 3] = 0.45, 1.0
 COST_COLORS = ListedColormap(_COSTS)
 
 
-def save_film(scene: ReplayScene, path: Path, speed: float) -> None:
+def save_film(scene: scenes.ReplayScene, path: Path, speed: float) -> None:
     """Write a scene as an animated GIF or WebP, by the suffix of the path.
 
     A progress bar is shown on standard error if it is a terminal.
@@ -87,7 +78,7 @@ def save_film(scene: ReplayScene, path: Path, speed: float) -> None:
         )  # fmt: skip
 
 
-def frames(scene: ReplayScene) -> Iterator[tuple[float, bytes]]:
+def frames(scene: scenes.ReplayScene) -> Iterator[tuple[float, bytes]]:
     """Yield the time [s] and the frame, as PNG, of each moment of a scene."""
     film = _Film(scene)
     palette = _palette(film, scene)
@@ -97,7 +88,7 @@ def frames(scene: ReplayScene) -> Iterator[tuple[float, bytes]]:
         yield moment.time_s, sink.getvalue()
 
 
-def _palette(film: "_Film", scene: ReplayScene) -> Image.Image:
+def _palette(film: "_Film", scene: scenes.ReplayScene) -> Image.Image:
     """Return a palette of the inks and the most frequent colours in some frames."""
     some = scene.moments[:: max(1, len(scene.moments) // PALETTE_FRAMES)]
     sheet = Image.fromarray(np.concatenate([film.frame(moment) for moment in some]) & SIX_BITS)
@@ -119,7 +110,7 @@ def _indexed(frame: NDArray[np.uint8], palette: Image.Image) -> Image.Image:
 class _Film:
     """A figure with static parts that are drawn once, and moving parts."""
 
-    def __init__(self, scene: ReplayScene) -> None:
+    def __init__(self, scene: scenes.ReplayScene) -> None:
         (left, low), (right, high) = scene.corners()
         world_in = WIDTH_IN * float(np.clip((high - low) / (right - left), FLATTEST, TALLEST))
         height_in = HEAD_IN + world_in + FOOT_IN
@@ -141,7 +132,7 @@ class _Film:
         canvas.draw()
         self._canvas, self._background = canvas, canvas.copy_from_bbox(self._figure.bbox)
 
-    def frame(self, moment: Moment) -> NDArray[np.uint8]:
+    def frame(self, moment: scenes.Moment) -> NDArray[np.uint8]:
         """Return the picture of one moment, RGB, shape (height, width, 3)."""
         self._canvas.restore_region(self._background)
         for part in self._parts:
@@ -159,17 +150,17 @@ class _Film:
 class _World:
     """Map, goals, robot, path, plan, scans and costmap."""
 
-    def __init__(self, axes: Axes, scene: ReplayScene) -> None:
+    def __init__(self, axes: Axes, scene: scenes.ReplayScene) -> None:
         self._scene = scene
         axes.set_axis_off()
-        draw_ground(axes, scene)
-        axes.plot(*scene.goals[:, :2].T, **NOT_REACHED)
+        scenes.draw_ground(axes, scene)
+        axes.plot(*scene.goals[:, :2].T, **scenes.NOT_REACHED)
         self._driven = _line(axes, "-", DRIVEN, lw=1.6)
         self._plan = _line(axes, "-", AMBER, lw=1.6)
         self._attacked = _line(axes, "s", ATTACK, ms=3.0, mew=0, antialiased=False)
         self._scan = _line(axes, "s", SEEN, ms=2.0, mew=0, antialiased=False)
-        self._fake = Circle((0.0, 0.0), **FAKE_OBJECT)
-        (self._reached,) = axes.plot([], [], **REACHED)
+        self._fake = Circle((0.0, 0.0), **scenes.FAKE_OBJECT)
+        (self._reached,) = axes.plot([], [], **scenes.REACHED)
         self._current = _line(axes, "o", AMBER, ms=19, mew=1.6, mfc="none")
         self._robot = Circle((0.0, 0.0), ROBOT_RADIUS_M, ec=DRIVEN, lw=1.8)
         self._robot.set_facecolor(to_rgba(PAPER, 0.85))
@@ -181,17 +172,17 @@ class _World:
             self._reached, self._current, self._robot, self._heading,
         ]  # fmt: skip
         costmaps = [moment.costmap for moment in scene.moments if moment.costmap is not None]
-        self._costmap = draw_grid(axes, costmaps[0], COST_COLORS) if costmaps else None
+        self._costmap = scenes.draw_grid(axes, costmaps[0], COST_COLORS) if costmaps else None
         if self._costmap is not None:
             self.moving.insert(0, self._costmap)
 
-    def show(self, moment: Moment) -> None:
+    def show(self, moment: scenes.Moment) -> None:
         """Update all artists to one moment."""
         scene, (x, y, yaw) = self._scene, moment.robot
         if self._costmap is not None:
             self._costmap.set_visible(moment.costmap is not None)
             if moment.costmap is not None:
-                set_grid(self._costmap, moment.costmap)
+                scenes.set_grid(self._costmap, moment.costmap)
         self._driven.set_data(*scene.path[: moment.driven].T)
         self._plan.set_data(*moment.plan.T)
         self._scan.set_data(*moment.scan.T)
@@ -211,7 +202,7 @@ class _World:
 class _Timeline:
     """The progress of the film, with the attack and the ends of goals."""
 
-    def __init__(self, axes: Axes, scene: ReplayScene) -> None:
+    def __init__(self, axes: Axes, scene: scenes.ReplayScene) -> None:
         axes.set(xlim=(0.0, scene.duration_s), ylim=(0.0, 1.0), yticks=[])
         axes.set_facecolor(to_rgba(INK, 0.2))
         axes.spines[:].set_visible(False)
@@ -226,10 +217,10 @@ class _Timeline:
             axes.text(scene.onset_s, 2.2, "attack", color=ATTACK, size="small", va="bottom")
         for goal in scene.results:
             if goal.ended_s is not None:
-                style = REACHED if goal.outcome == "succeeded" else FAILED
+                style = scenes.REACHED if goal.outcome == "succeeded" else FAILED
                 self.moving += axes.plot(goal.ended_s, 0.5, **style, clip_on=False)
 
-    def show(self, moment: Moment) -> None:
+    def show(self, moment: scenes.Moment) -> None:
         """Update the progress bar to one moment."""
         self._past.set_width(moment.time_s)
 
@@ -237,7 +228,7 @@ class _Timeline:
 class _Words:
     """The title of the run, the time, and the status of goals and recoveries."""
 
-    def __init__(self, figure: Figure, scene: ReplayScene) -> None:
+    def __init__(self, figure: Figure, scene: scenes.ReplayScene) -> None:
         self._scene = scene
         height_in = figure.get_size_inches()[1]
         first, second = 1.0 - 0.12 / height_in, 1.0 - 0.38 / height_in
@@ -248,7 +239,7 @@ class _Words:
         self._status = figure.text(0.04, second, "", va="top")
         self.moving: list[Artist] = [self._clock, self._status]
 
-    def show(self, moment: Moment) -> None:
+    def show(self, moment: scenes.Moment) -> None:
         """Update the texts to one moment."""
         scene = self._scene
         goal, reached = scene.goal_at(moment.time_s), int(scene.reached(moment.time_s).sum())
@@ -264,7 +255,7 @@ def _line(axes: Axes, style: str, color: str, **options: Any) -> Line2D:
     return line
 
 
-def _legend(scene: ReplayScene) -> list[Artist]:
+def _legend(scene: scenes.ReplayScene) -> list[Artist]:
     """Return a legend entry for each kind of element in the film."""
     moments = scene.moments
 
@@ -274,10 +265,10 @@ def _legend(scene: ReplayScene) -> list[Artist]:
     samples: list[tuple[bool, Artist]] = [
         (any(len(m.scan) for m in moments), dots(SEEN, "scan")),
         (any(len(m.attacked) for m in moments), dots(ATTACK, "attacked scan")),
-        (any(m.disc for m in moments), Patch(label="fake object", **FAKE_OBJECT)),
+        (any(m.disc for m in moments), Patch(label="fake object", **scenes.FAKE_OBJECT)),
         (any(m.costmap for m in moments), Patch(color=to_rgba(COST, 0.5), lw=0, label="costmap")),
         (any(len(m.plan) for m in moments), Line2D([], [], color=AMBER, label="plan")),
         (True, Line2D([], [], color=DRIVEN, label="driven")),
-        (len(scene.goals) > 0, Line2D([], [], label="goal", **{**REACHED, "ms": 8})),
+        (len(scene.goals) > 0, Line2D([], [], label="goal", **{**scenes.REACHED, "ms": 8})),
     ]
     return [sample for shown, sample in samples if shown]

@@ -33,8 +33,8 @@ def show(file: Path, *, contract: bool) -> None:
         oracle score tonight/* --reference robot.card --contract contract.yaml
     """  # noqa: D301 -- click reads the control character
     from oracle_pipeline.scoring.card import ReferenceCard
+    from oracle_pipeline.scoring.card_output import card_as_text, terms_as_text
     from oracle_pipeline.scoring.contract_file import contract_as_yaml
-    from oracle_pipeline.scoring.output import card_as_text, terms_as_text
 
     known = ReferenceCard.load(file)
     if not contract:

@@ -12,7 +12,6 @@ References
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import false_discovery_control
 
 from oracle_pipeline.bags.errors import OracleError
 
@@ -99,4 +98,6 @@ def adjusted_for_suite(p: NDArray[np.float64]) -> NDArray[np.float64]:
     >>> adjusted_for_suite(np.array([0.01, 0.04, 0.5]))
     array([0.03, 0.06, 0.5 ])
     """
+    from scipy.stats import false_discovery_control  # takes a while to import
+
     return np.asarray(false_discovery_control(p, method="bh"), dtype=np.float64)

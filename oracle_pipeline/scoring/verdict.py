@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from oracle_pipeline.bags.errors import OracleError
-from oracle_pipeline.detectors import FamilyDeviation
 from oracle_pipeline.scoring.alarms import Alarm
+
+if TYPE_CHECKING:
+    from oracle_pipeline.detectors import FamilyDeviation
 
 # Breach: not anomalous by its features, but it breaks the contract of the system.
 # Unsupported: there is a score, but too few normal runs for a verdict at the requested rate.
@@ -89,7 +91,7 @@ class Verdict:
     normal_runs: int = 0
     normal_blocks: int = 0  # that vote
     evidence: tuple[Evidence, ...] = ()  # largest distance first
-    families: tuple[FamilyDeviation, ...] = ()  # of all features outside their usual range
+    families: "tuple[FamilyDeviation, ...]" = ()  # of all features outside their usual range
     notes: tuple[str, ...] = ()
     error: str = ""
     cautions: tuple[str, ...] = ()  # what a reader has to know before all else

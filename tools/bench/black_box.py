@@ -31,11 +31,11 @@ from oracle_pipeline.datasets import WINDOW_START, read_table
 from oracle_pipeline.evaluation.estimate import clopper_pearson
 from oracle_pipeline.features import build_manager
 from oracle_pipeline.live.black_box import BlackBox, Keep
+from oracle_pipeline.live.events import WindowVerdict
 from oracle_pipeline.live.intake import Intake, Received
 from oracle_pipeline.live.recorder import Recorder
 from oracle_pipeline.live.source import Source
 from oracle_pipeline.live.watch import Watch
-from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.opened_run import OpenedRun, open_run
 from oracle_pipeline.scoring.alarms import RATE_PER_H, AlarmWatch
 from oracle_pipeline.scoring.learning import learn

@@ -10,8 +10,8 @@ from oracle_pipeline.live.events import (
     MessageReceived,
     Note,
     WindowAlarm,
+    WindowVerdict,
 )
-from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.scoring.contract import Breach
 from oracle_pipeline.scoring.verdict import Evidence
 from oracle_pipeline.windows import HOP_S, WINDOW_S

@@ -7,11 +7,10 @@ import pytest
 from click.testing import CliRunner
 
 from oracle_pipeline.cli import main
-from oracle_pipeline.live.events import ContractAlarm, Note, WindowAlarm
+from oracle_pipeline.live.events import ContractAlarm, Note, WindowAlarm, WindowVerdict
 from oracle_pipeline.live.recorder import Recorder
 from oracle_pipeline.live.split_bag import Split
 from oracle_pipeline.live.watch_command import lines_of
-from oracle_pipeline.live.window_scorer import WindowVerdict
 from oracle_pipeline.scoring.card import ReferenceCard
 from oracle_pipeline.scoring.contract import Breach
 from oracle_pipeline.scoring.verdict import Evidence

@@ -4,6 +4,9 @@ import json
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -33,13 +36,68 @@ PER_HOUR = 200.0  # false alarms; five short runs support no lower rate
 SECOND_NS = 10**9
 
 
-def test_an_interrupt_of_the_whole_terminal_does_not_end_the_judge_while_it_starts(normal_card):
-    judge = JudgeProcess(normal_card, PER_HOUR)
-    (process,) = (each for each in multiprocessing.active_children() if each.name == "judge")
-    os.kill(process.pid, signal.SIGINT)
-    process.join(2.0)
+def judges():
+    return [each for each in multiprocessing.active_children() if each.name == "judge"]
+
+
+def test_an_interrupt_of_the_whole_terminal_does_not_end_the_judge_while_it_starts(
+    normal_card, eventually
+):
+    with ThreadPoolExecutor() as pool:
+        starting = pool.submit(JudgeProcess, normal_card, PER_HOUR)
+        assert eventually(judges)
+        (process,) = judges()
+        os.kill(process.pid, signal.SIGINT)
+        judge = starting.result()
     assert process.is_alive()
     assert not judge.close()
+
+
+def test_an_interrupt_of_the_watch_while_the_judge_starts_ends_both(normal_card):
+    """Otherwise, the watch would wait for it for ever."""
+    code = (
+        "import signal, sys; from pathlib import Path\n"
+        "from oracle_pipeline.live.judge_process import JudgeProcess\n"
+        "signal.signal(signal.SIGALRM, signal.default_int_handler)\n"
+        "signal.setitimer(signal.ITIMER_REAL, 0.3)\n"
+        f"JudgeProcess(Path(sys.argv[1]), {PER_HOUR})"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, normal_card],
+        capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+    assert "KeyboardInterrupt" in done.stderr
+
+
+def test_the_process_that_records_has_no_library_that_only_the_judge_needs(
+    normal_card, recorded_run
+):
+    """On a robot, they take a second of its start, and 150 MB."""
+    code = (
+        "import sys; from pathlib import Path\n"
+        "from oracle_pipeline.live import page_server, watch, watch_command\n"
+        "from oracle_pipeline.live.events import WindowAlarm\n"
+        "from oracle_pipeline.live.judge_process import JudgeProcess\n"
+        "from oracle_pipeline.opened_run import open_run\n"
+        "from oracle_pipeline.windows import WINDOW_S\n"
+        f"judge = JudgeProcess(Path(sys.argv[1]), {PER_HOUR})\n"
+        "with open_run(Path(sys.argv[2])) as run:\n"
+        "    for topic in run.bag.topics.values():\n"
+        "        judge.add_topic(topic.name, topic.msgtype, topic.qos)\n"
+        "    judge.add(list(run.bag.messages()))\n"
+        "    begin = run.bag.start_ns\n"
+        "    judge.end_window(begin, begin, begin + round(WINDOW_S * 10**9))\n"
+        "(verdict,) = judge.close()\n"
+        "print(*watch_command.lines_of(WindowAlarm(verdict), None, 'text'), sep='\\n')\n"
+        "learning = {'pandas', 'pyarrow', 'sklearn', 'scipy.stats'}\n"
+        "sys.exit(', '.join(learning & sys.modules.keys()) or 0)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, normal_card, recorded_run(NORMAL, 5).path],
+        capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("ALARM in the window from 0 s to 5 s:")
 
 
 def judged(judge, run, spaces=("",)):

@@ -17,9 +17,10 @@ from oracle_pipeline.features import FeatureTables, build_manager, extract
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring import isolation
 from oracle_pipeline.scoring.card import ReferenceCard
+from oracle_pipeline.scoring.card_output import card_as_text
 from oracle_pipeline.scoring.judging import judge
 from oracle_pipeline.scoring.learning import Cards, learn
-from oracle_pipeline.scoring.output import as_json, as_text, card_as_text
+from oracle_pipeline.scoring.output import as_json, as_text
 from oracle_pipeline.scoring.reference import Reference, read_reference
 from oracle_pipeline.scoring.verdict import ScoringError, Verdict
 from tests.oracle_pipeline.datasets.synthetic import run_features
