@@ -12,15 +12,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.comparison import measurements as measured
 from oracle_pipeline.comparison import permutation
-from oracle_pipeline.comparison.measurements import (
-    aligned,
-    family_of,
-    measurements,
-    resolved_values,
-    unit_of,
-    varying_columns,
-)
 from oracle_pipeline.datasets import SIGNALS
 from oracle_pipeline.features import FeatureManager
 from oracle_pipeline.logs.formats import recordings_below
@@ -67,7 +60,7 @@ class Difference:
     @property
     def family(self) -> str:
         """The family of the feature."""
-        return family_of(self.feature)
+        return measured.family_of(self.feature)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,12 +134,12 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> SetComp
         _check_size(each)
     both = pd.concat([first.table, second.table])
     signals = common_signals(both, settings_among(both))  # a date, or a map, is no behaviour
-    values = aligned(measurements(first, signals), measurements(second, signals))
+    values = measured.aligned(*(measured.measurements(each, signals) for each in (first, second)))
     partners = _partners(first.table, second.table)
     if partners is not None:
         values = (values[0].iloc[partners[0]], values[1].iloc[partners[1]])
-    resolved = resolved_values(values, first.table)
-    varying = varying_columns(*resolved)
+    resolved = measured.resolved_values(values, first.table)
+    varying = measured.varying_columns(*resolved)
     if not varying.any():
         raise ComparisonError("No feature varies between these recordings; use more of them.")
     left, right = (table[:, varying] for table in resolved)
@@ -166,7 +159,7 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> SetComp
     found = [
         Difference(
             feature=column,
-            unit=unit_of(column, first.table),
+            unit=measured.unit_of(column, first.table),
             **_sizes(values, recordings, column, rng, paired=partners is not None),
             effect=float(effect),
             p_value=float(p),
@@ -181,7 +174,7 @@ def compare(first: Reference, second: Reference, level: float = 0.05) -> SetComp
         pairs=0 if partners is None else len(partners[0]),
         level=level,
         lowest_p=design.lowest_p,
-        compared=dict(Counter(map(family_of, columns))),
+        compared=dict(Counter(map(measured.family_of, columns))),
         differences=tuple(found),
         notes=tuple(_notes(first, second)),
     )

@@ -51,7 +51,7 @@ class LivePage:
         self.address = f"http://{HOST}:{self._socket.getsockname()[1]}"
         self._server = uvicorn.Server(
             uvicorn.Config(
-                Guard(_application(self.state, self._is_over), advice=_ADVICE),
+                Guard(_application(self.state, lambda: self._server.should_exit), advice=_ADVICE),
                 log_level="error",
                 lifespan="off",
                 timeout_graceful_shutdown=_ENDS_S,
@@ -64,9 +64,6 @@ class LivePage:
     def show(self, event: Event) -> None:
         """Show an event."""
         self.state.update(event)
-
-    def _is_over(self) -> bool:
-        return self._server.should_exit
 
     def __enter__(self) -> Self:
         self._thread.start()

@@ -13,7 +13,6 @@ import pandas as pd
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from oracle_pipeline.bags.template import STAMP
 from oracle_pipeline.logs.files import tables_in
 from oracle_pipeline.logs.layout import (
     LAYOUT_FILE,
@@ -35,6 +34,7 @@ _LIKE_TIMES = re.compile(r"time|stamp|epoch|clock", re.IGNORECASE)  # if they ne
 _UNIT = re.compile(
     r"(?:[_ .\[(]|time|stamp|^t)([mun]?s)(?:ec(?:ond)?s?)?[\])]*$", re.IGNORECASE
 )  # of a time, at the end of its name
+_NANOSECONDS = re.compile(r"n(?:ano)?(secs?|seconds)$")  # beside seconds of the same name
 _ROS2_ECHO = re.compile(r"\d+,\d{1,9},(?:[A-Za-z/][\w/]*)?,")  # seconds, nanoseconds and a frame
 _COUNTERS = re.compile(r"unnamed: 0|index|idx|row|seq|frame|sample|id", re.IGNORECASE)
 _ABOVE = re.compile(r"#|sep=|\s*$")  # begins lines above the names of columns
@@ -183,14 +183,27 @@ def _read(file: Path) -> pd.DataFrame:
         if frame.empty:
             raise ValueError("it has no rows")
         frame = frame.rename(columns=lambda name: str(name).strip())
-        if frame.columns[0] == STAMP[0]:
-            frame.insert(0, "time", frame[STAMP[0]] * 10**9 + frame[STAMP[1]])
+        frame = _with_whole_seconds_joined(frame)
         names = {name.lower(): name for name in frame.columns}
         if names.keys() >= {"date", "time"} and frame[names["date"]].dtype.kind not in "biufM":
             time = frame[names["time"]].astype(str)
             frame[names["time"]] = frame.pop(names["date"]).str.cat(time, sep=" ")
         echoed = frame.columns[1:].str.startswith("field.")
         return _of_echo(frame) if len(echoed) and echoed.all() else frame
+
+
+def _with_whole_seconds_joined(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return a table whose time has its seconds and nanoseconds in one column, if it has no other.
+
+    Stamps of headers stay, since they are fields of a type of ROS.
+    """
+    times = set(filter(_TIMES.fullmatch, frame.columns))
+    for name in frame.columns:
+        whole = _NANOSECONDS.sub(r"\1", name)
+        if whole != name and whole in frame and times <= {whole}:
+            kept = frame if name.startswith("header.") else frame.drop(columns=[whole, name])
+            return kept.assign(time=frame[whole] * 10**9 + frame[name])
+    return frame
 
 
 def _of_echo(frame: pd.DataFrame) -> pd.DataFrame:
@@ -222,6 +235,8 @@ def _dialect(file: Path) -> dict[str, Any]:
     mark = mark if mark in row else r"\s+"
     decimal = "," if mark != "," and _COMMA.search(text) else "."
     found = {"sep": mark, "skiprows": first, "encoding": encoding, "decimal": decimal}
+    if not row.endswith(mark) and "".join(lines[first + 1 : first + 2]).endswith(mark):
+        found["index_col"] = False  # each row ends with a mark, and the names do not
     cells, names = (re.split(mark, line.strip("# ")) for line in (row, above))
     numbers = pd.to_numeric(pd.Series(cells), errors="coerce").notna()
     if above and len(names) == len(cells) and numbers.any():  # as `numpy.savetxt` writes its header

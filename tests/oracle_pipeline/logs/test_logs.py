@@ -351,6 +351,8 @@ def test_unit_of_time_is_guessed_and_told(name, times, unit, tmp_path):
 
 TABLE = pd.DataFrame({"time": np.arange(20) * 0.05, "roll [°]": np.arange(20) ** 2 / 8 - 0.5})
 DATED = TABLE.assign(time=pd.to_datetime(1.7e9 + TABLE["time"], unit="s"))
+_SECONDS = (TABLE["time"] + 1.7e9) // 1
+SPLIT = TABLE.assign(time=_SECONDS.astype(int), rest=round(TABLE["time"] % 1 * 1e9).astype(int))
 CLOCK = DATED["time"].dt.strftime("%H:%M:%S.%f")
 WRITERS = {
     "commas": TABLE.to_csv(index=False),
@@ -365,6 +367,12 @@ WRITERS = {
     "dates": DATED.to_csv(index=False),
     "times of day": TABLE.assign(time=CLOCK).to_csv(index=False),
     "dates beside times of day": TABLE.assign(Date="2023-11-14", time=CLOCK).to_csv(index=False),
+    "commas at the end": TABLE.to_csv(index=False).replace("\n", ",\n").replace(",\n", "\n", 1),
+    "row names without a name": TABLE.to_csv(sep="\t").removeprefix("\t"),
+    "seconds and nanoseconds": SPLIT.rename(columns={"time": "sec", "rest": "nanosec"}).to_csv(),
+    "stamps in two columns": SPLIT.rename(
+        columns={"time": "header.stamp.secs", "rest": "header.stamp.nsecs"}
+    ).to_csv(index=False),
     "other quotes and ends of lines": TABLE.to_csv(index=False, quoting=1, lineterminator="\r\n"),
 }
 
