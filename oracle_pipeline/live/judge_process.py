@@ -75,7 +75,6 @@ class _Begin:
 
 _Request: TypeAlias = _Topic | _Begin | _Window | Interval | list[RawMessage] | None
 _Verdicts: TypeAlias = list[WindowVerdict]  # one for each robot; none if the window is left out
-_Answer: TypeAlias = _Verdicts | OracleError
 
 
 class JudgeProcess:
@@ -168,7 +167,7 @@ class JudgeProcess:
         """
         try:
             while self._pipe.poll(timeout_s if self._behind else 0.0):
-                answer: _Answer = self._pipe.recv()
+                answer: _Verdicts | OracleError = self._pipe.recv()
                 self._behind -= 1
                 if isinstance(answer, OracleError):
                     raise answer

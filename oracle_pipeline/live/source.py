@@ -16,7 +16,7 @@ from oracle_pipeline.live.intake import Intake
 
 _PAUSE_S = 0.05  # between two reads of the queue; waking up for each message costs more
 _LATE_S = 0.05  # by which a pause is too long, at least
-_STOPPED_S = 1.0  # between two pauses, for longer than any work: the program was stopped
+_STOPPED_S = 1.0  # between ends of pauses, for longer than any work: the program was stopped
 _SHARE = 0.75  # of a second, in which some program waits for a processor
 _EVERY_S = 1.0
 
@@ -54,7 +54,7 @@ class _Machine:
 
     def __init__(self) -> None:
         self._is_crowded = False
-        self._measured_s = self._ended_s = monotonic()
+        self._measured_s = self._ended_s = self._until_s = monotonic()
         self._waited_s = _waited_s()
 
     def pause(self, seconds: float) -> bool:
@@ -65,9 +65,10 @@ class _Machine:
         if (passed_s := now_s - self._measured_s) >= _EVERY_S:
             before_s, self._waited_s, self._measured_s = self._waited_s, _waited_s(), now_s
             self._is_crowded = self._waited_s - before_s > _SHARE * passed_s
-        was_stopped = began_s - self._ended_s > _STOPPED_S
+        if now_s - self._ended_s > _STOPPED_S:  # what came meanwhile is received from now on
+            self._until_s = now_s + _EVERY_S
         self._ended_s = now_s
-        return self._is_crowded or was_stopped or now_s - began_s - seconds > _LATE_S
+        return self._is_crowded or now_s < self._until_s or now_s - began_s - seconds > _LATE_S
 
 
 def _waited_s() -> float:
