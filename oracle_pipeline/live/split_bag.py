@@ -127,8 +127,8 @@ class SplitBag:
     def _store(self) -> None:
         pending, self._pending, self._pending_bytes = self._pending, [], 0
         if pending:
-            for topic in dict.fromkeys(topic for topic, _, _ in pending):
-                self._file.connect(topic, *self._topics[topic])
+            for topic, described in self._topics.items():  # silent ones too, if it is killed
+                self._file.connect(topic, *described)
             self._file.store(pending)
             self.counts.update(topic for topic, _, _ in pending)
 

@@ -63,6 +63,7 @@ def test_a_recording_in_progress_is_readable_and_not_taken_for_complete(tmp_path
 @pytest.mark.parametrize("cut", [0, 1, 40, 400])
 def test_what_a_killed_watch_left_is_finished_in_place(tmp_path, cut):
     made = recorder(tmp_path / "live")
+    made.add_topic("/silent", STRING, [DEFAULT])
     write(made, range(5))
     made.write_graph(0, ros_graph())
     for number in range(10):
@@ -76,6 +77,8 @@ def test_what_a_killed_watch_left_is_finished_in_place(tmp_path, cut):
     (file,) = (killed / "bag").glob("*.mcap")
     file.write_bytes(file.read_bytes()[: file.stat().st_size - cut])
     assert stamps(killed)[:50] == expected(range(5))
+    with open_run(killed) as run:
+        assert run.bag.topics.keys() == {WORDS, "/silent"}  # or a contract lacks the topic
     (recovered,) = recover(tmp_path / "left")
     assert not recovered.fault
     assert recovered.messages == len(stamps(killed)) in (50, 60)
