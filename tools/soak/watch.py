@@ -93,7 +93,7 @@ def _send(
     text, tick, stamp = map(message_class, (_TEXT, _CLOCK, "builtin_interfaces/msg/Time"))
     tester = multiprocessing.parent_process()
     for number in itertools.count():
-        if tester is None or not tester.is_alive():  # another one would hear this sender, too
+        if tester is None or not tester.is_alive():  # another watch would record this, too
             return
         words.write(serialize(text(str(number)), _TEXT))
         if burst.value:

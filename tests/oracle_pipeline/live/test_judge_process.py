@@ -54,7 +54,7 @@ def test_an_interrupt_of_the_whole_terminal_does_not_end_the_judge_while_it_star
 
 
 def test_an_interrupt_of_the_watch_while_the_judge_starts_ends_both(normal_card):
-    """Otherwise, the watch would wait for it for ever."""
+    """Otherwise, the watch would never end."""
     code = (
         "import signal, sys; from pathlib import Path\n"
         "from oracle_pipeline.live.judge_process import JudgeProcess\n"
