@@ -182,7 +182,7 @@ def _read(file: Path) -> pd.DataFrame:
             frame = pd.read_csv(file, **_dialect(file), skipinitialspace=True)
         if frame.empty:
             raise ValueError("it has no rows")
-        frame = frame.rename(columns=lambda name: str(name).strip())
+        frame = frame.dropna(axis=1, how="all").rename(columns=lambda name: str(name).strip())
         frame = _with_whole_seconds_joined(frame)
         names = {name.lower(): name for name in frame.columns}
         if names.keys() >= {"date", "time"} and frame[names["date"]].dtype.kind not in "biufM":

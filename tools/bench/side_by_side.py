@@ -85,7 +85,7 @@ def serving(domain: int, *words: str | Path) -> Iterator[Any]:
         process.stderr.readline()  # it has started
         yield process
     finally:
-        process.send_signal(signal.SIGINT)
+        process.terminate()  # below nohup, it ignores Ctrl-C
         process.stderr.read()
         process.wait()
 

@@ -368,6 +368,8 @@ WRITERS = {
     "times of day": TABLE.assign(time=CLOCK).to_csv(index=False),
     "dates beside times of day": TABLE.assign(Date="2023-11-14", time=CLOCK).to_csv(index=False),
     "commas at the end": TABLE.to_csv(index=False).replace("\n", ",\n").replace(",\n", "\n", 1),
+    "columns without a value": "stamp,"
+    + TABLE.to_csv(index=False).replace("\n", ",\n,").removesuffix(","),
     "row names without a name": TABLE.to_csv(sep="\t").removeprefix("\t"),
     "seconds and nanoseconds": SPLIT.rename(columns={"time": "sec", "rest": "nanosec"}).to_csv(),
     "stamps in two columns": SPLIT.rename(
