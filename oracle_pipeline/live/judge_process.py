@@ -107,10 +107,10 @@ class JudgeProcess:
         self._process = context.Process(
             target=_work, args=(theirs, card, alarms_per_h, plugins), name="judge"
         )
-        with no_program(), _without_interrupts():
-            self._process.start()
-        theirs.close()
         try:
+            with no_program(), _without_interrupts():
+                self._process.start()
+            theirs.close()
             self.contract = self._first_answer()
         except BaseException:  # of Ctrl-C, too: the process ends with its pipe
             self._pipe.close()

@@ -228,14 +228,14 @@ def _dialect(file: Path) -> dict[str, Any]:
         encoding, text = "cp1252", begin.decode("cp1252", "replace")
     lines = text.removeprefix("\ufeff").splitlines()
     first = next((n for n, line in enumerate(lines) if not _ABOVE.match(line)), 0)
-    row, above = lines[first] if lines else "", lines[first - 1] if first else ""
+    above, row, below = ["", *lines, "", ""][first : first + 3]
     if _ROS2_ECHO.match(row):
         return {"header": None, "names": echoed_columns(row.count(",") + 1)}
     mark = max(",;\t", key=row.count)
     mark = mark if mark in row else r"\s+"
     decimal = "," if mark != "," and _COMMA.search(text) else "."
     found = {"sep": mark, "skiprows": first, "encoding": encoding, "decimal": decimal}
-    if not row.endswith(mark) and "".join(lines[first + 1 : first + 2]).endswith(mark):
+    if below.endswith(mark) and not row.endswith(mark):
         found["index_col"] = False  # each row ends with a mark, and the names do not
     cells, names = (re.split(mark, line.strip("# ")) for line in (row, above))
     numbers = pd.to_numeric(pd.Series(cells), errors="coerce").notna()
