@@ -426,7 +426,7 @@ def _measured(tables: FeatureTables, card: ReferenceCard) -> MeasuredRuns:
     windows = tables.windows.reindex(columns=["run_id", "window_start_s", *design.window_columns])
     if windows.empty:
         windows = pd.DataFrame({"run_id": run["run_id"], "window_start_s": 0.0})
-    return MeasuredRuns.ordered(run, windows)
+    return MeasuredRuns(run, windows, np.zeros(len(windows), dtype=np.intp))
 
 
 def _joined(recordings: Sequence[MeasuredRuns]) -> MeasuredRuns:

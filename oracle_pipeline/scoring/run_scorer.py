@@ -163,8 +163,7 @@ class RunScorer:
         for level in self.levels:
             is_of_windows = level in OF_WINDOWS
             table = runs.windows if is_of_windows else runs.features
-            seen = _select(table, self.design.columns(level))
-            of_rows = -self.models_[level].score_samples(seen)
+            of_rows = -self.models_[level].score_samples(_select(table, self.design.columns(level)))
             if is_of_windows:
                 of_rows = top_windows(of_rows, runs, self.windows_counted_)
             scores.append(of_rows)
@@ -245,8 +244,7 @@ class RunScorer:
 
 
 def _select(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
-    """Return some columns of a table; it is not copied if it has no others."""
-    return table if list(table.columns) == list(columns) else table[list(columns)]
+    return table[pd.Index(list(columns), dtype=object)]  # Arrow makes strings anew for each look
 
 
 def top_windows(

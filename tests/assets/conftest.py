@@ -19,7 +19,7 @@ from tests.assets.laboratory import (
 from tests.instances import instance_of
 
 # Where the work on runs and recordings begins, and what the first one loads: a second of imports
-# that each worker would make again. The last one keeps the garbage collector away from all this.
+# and half a second of compiled loops that each worker would load again.
 FORKED = [
     "assets.worker.run",
     "assets.worker.inspections",
@@ -31,6 +31,7 @@ FORKED = [
     "sim.atc.run",
     "sim.turtlebot3.drawing",
     "sim.turtlebot3.run",
+    "tests.assets.warm",
 ]
 
 
