@@ -91,7 +91,8 @@ def jumps(topic: CheckedTopic) -> Iterator[Fault]:
             continue
         values = _unwrapped(signal)
         steps = np.diff(values)
-        usual = float(np.quantile(np.abs(steps[steps != 0.0]), _USUAL))
+        moved = np.abs(steps[steps != 0.0])  # none, if angles only turn full circles
+        usual = float(np.quantile(moved, _USUAL)) if len(moved) else np.inf
         found = np.flatnonzero(np.abs(steps) > _JUMP * usual)
         found = found[[_stays(values, at) for at in found.tolist()]]
         scale = _METRES_PER_DEGREE if signal.unit == "deg" else 1.0
@@ -113,8 +114,8 @@ def _is_place(signal: CheckedSignal) -> bool:
 
 
 def _unwrapped(signal: CheckedSignal) -> Floats:
-    good = np.isfinite(signal.values)
-    values = np.interp(signal.times_s, signal.times_s[good], signal.values[good])
+    values, good = signal.values.copy(), np.isfinite(signal.values)
+    values[~good] = np.interp(signal.times_s[~good], signal.times_s[good], values[good])
     period = period_of(signal.name, signal.unit, float(np.abs(values).max()))
     return np.unwrap(values, period=period) if period else values
 

@@ -7,13 +7,15 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oracle_pipeline.bags.types import message_class
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.checks.run import CHECKS, check_recording
+from oracle_pipeline.checks.topic import CheckedTopic
 from oracle_pipeline.cli import main
+from oracle_pipeline.features.signals.collector import Signals
 from tests.oracle_pipeline.bags.conftest import STRING, text
 from tests.oracle_pipeline.checks.drives import AT_S, Tables, drive, sound_drive
 from tests.oracle_pipeline.features.conftest import header, pose_message, write_bag
@@ -292,3 +294,35 @@ def test_a_clock_that_is_set_back_is_a_fault(tmp_path):
             bag.write("/two", stamp_ns + 1, text("b"))
     (fault,) = (each for each in check_recording(tmp_path / "bag") if each.check == "clock")
     assert fault.text == "the recorder's clock was set back by 1.9 s at 5.90 s"
+
+
+FIELDS = [
+    ("pose.position.x", "m"), ("longitude", "deg"), ("angle", "rad"), ("count", ""), ("level", ""),
+    *((f"orientation.{axis}", "") for axis in "xyzw"), ("angular_velocity.z", "rad/s"),
+]  # fmt: skip
+SPECIAL = [np.nan, np.inf, -np.inf, 1.7e308, -1.7e308, 180.0, -180.0, 5e-324, 2.0**53]
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=200)
+def test_whatever_numbers_a_topic_has_each_check_ends_and_its_faults_lie_within(seed):
+    rng = np.random.default_rng(seed)
+    number = int(rng.integers(1, 300))
+    times_ns = np.cumsum(rng.choice([0, 1, 10**7, 10**9], number, p=rng.dirichlet([1, 1, 1, 1])))
+    times_ns = np.repeat(times_ns, rng.integers(1, 4))[:number]  # of two objects or three
+    shape = (number, len(FIELDS))
+    pool = np.append(rng.normal(0.0, 10.0 ** rng.integers(-3, 6), 3), rng.choice(SPECIAL, 2))
+    values = np.select(
+        [rng.random(shape) < rng.choice([0.0, 0.1]), rng.random(shape[1]) < rng.choice([0.1, 0.9])],
+        [rng.choice(pool, shape), rng.choice(pool, (3, shape[1]))[np.arange(number) % 3]],
+        np.cumsum(rng.normal(size=shape), axis=0),
+    )
+    signals = Signals("/t", *zip(*FIELDS, strict=True), times_ns=times_ns, values=values)
+    stamps_ns = rng.permutation(times_ns) if rng.random() < 0.3 else times_ns
+    topic = CheckedTopic("/t", "a/B", times_ns / 1e9, stamps_ns, (signals,))
+    with np.errstate(all="ignore"):
+        faults = [fault for check in CHECKS.values() for fault in check(topic)]
+    for fault in faults:
+        assert times_ns[0] / 1e9 <= fault.start_s <= fault.end_s <= times_ns[-1] / 1e9, fault
+        assert fault.places > 0
+        assert "nan" not in fault.text, fault
