@@ -2,13 +2,15 @@
 
 A line ``<!-- table: features -->`` becomes the table of all built-in features. ``manifest`` names
 those of the fields of a manifest, ``found_attacks`` that of the attacks that searches found,
-``other_modes`` that of the modes of all built-in testbeds but the first, and ``program_mutants``
-the kill matrix of mutants of the program.
+``other_modes`` that of the modes of all built-in testbeds but the first, ``program_mutants`` the
+kill matrix of mutants of the program, and ``magnitudes_arm`` how many runs of an arm are called,
+for each size of each fault.
 """
 
 import json
 import re
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,7 @@ from tools.bench.kill_table import kill_table, named
 
 MARK = re.compile(r"^<!-- table: (\w+) -->$", re.M)
 FOUND = Path(__file__).parents[2] / "examples" / "found_attacks"
-PROGRAM_MUTANTS = Path(__file__).parents[1] / "explanation" / "program_mutants.csv"
+EXPLANATION = Path(__file__).parents[1] / "explanation"
 SCHEMA = Path(run_directory.__file__).with_name("manifest.schema.json")
 
 
@@ -80,10 +82,23 @@ def other_modes() -> Iterator[str]:
 
 def program_mutants() -> Iterator[str]:
     """Yield the kill matrix of mutants of the program, and a paragraph on each group of them."""
-    runs = pd.read_csv(PROGRAM_MUTANTS)
+    runs = pd.read_csv(EXPLANATION / "program_mutants.csv")
     yield from kill_table(runs)
     for line in named(runs):
         yield from ("", line)
+
+
+def magnitudes(testbed: str) -> Iterator[str]:
+    """Yield a row for each fault of a testbed: how many of 10 runs are called at each value."""
+    called = pd.read_csv(EXPLANATION / "magnitudes.csv")
+    called = called[(called["testbed"] == testbed) & called["parameter"].notna()]
+    yield "| mode | value | called of 10, from the smallest value to the largest |"
+    yield "| --- | --- | --- |"
+    for mode, of_mode in called.groupby("mode", sort=False):
+        first, last = of_mode.iloc[0], of_mode.iloc[-1]
+        unit = f" {first['unit']}" if isinstance(first["unit"], str) else ""
+        ends = f"{first['parameter']}, {first['value']:g} to {last['value']:g}{unit}"
+        yield f"| `{mode}` | {ends} | {', '.join(map(str, of_mode['called']))} |"
 
 
 def rows(fields: dict[str, Any], before: str = "") -> Iterator[str]:
@@ -112,4 +127,6 @@ TABLES: dict[str, Callable[[], Iterator[str]]] = {
     "found_attacks": found_attacks,
     "other_modes": other_modes,
     "program_mutants": program_mutants,
+    "magnitudes_arm": partial(magnitudes, "arm"),
+    "magnitudes_crazyflie": partial(magnitudes, "crazyflie"),
 }

@@ -12,9 +12,11 @@ from assets.partitions import run_count, runs_per_partition
 from oracle_pipeline.definitions import defs
 from oracle_pipeline.features import build_manager
 from sim.campaigns import Campaign
+from sim.commands.parameter_values import BUILT_IN as MAGNITUDES
 from sim.modes import modes
-from sim.testbeds import BUILT_IN, which_testbed
+from sim.testbeds import BUILT_IN, TESTBEDS, which_testbed
 from tests.docs.pages import DOCS, REPOSITORY
+from tools.bench.magnitudes import ROBOTS
 
 SCHEMA = REPOSITORY / "oracle_pipeline" / "bags" / "manifest.schema.json"
 SOURCES = ("oracle_pipeline", "assets", "resources", "sim", "deploy", "tests")
@@ -24,7 +26,7 @@ SOURCES = ("oracle_pipeline", "assets", "resources", "sim", "deploy", "tests")
 def built():
     """A function that builds a page of the reference, as the site shows it."""
     hook = runpy.run_path(str(DOCS / "hooks" / "tables.py"))["on_page_markdown"]
-    return lambda name: hook((DOCS / "reference" / name).read_text("utf-8"))
+    return lambda name, folder="reference": hook((DOCS / folder / name).read_text("utf-8"))
 
 
 def test_the_built_page_has_a_row_for_every_built_in_feature(built, monkeypatch):
@@ -47,6 +49,12 @@ def test_the_built_page_has_a_row_for_every_mode(built, monkeypatch):
     rows = re.findall(r"^\| (?:\w+ \| )?`(\w+)` \|", built("modes.md"), re.M)
     alone = [name for name in modes() if which_testbed(modes()[name].scenario) in BUILT_IN]
     assert set(rows) >= {name for name in alone if not name.endswith("_shadow")}
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_built_page_has_a_row_for_every_fault_that_has_a_magnitude(built, robot):
+    rows = re.findall(r"^\| `(\w+)` \| \w+, .* to ", built(f"{robot}.md", "explanation"), re.M)
+    assert rows == [mode for mode in TESTBEDS[robot].experiments if MAGNITUDES.get(mode)]
 
 
 def test_the_configuration_page_lists_every_variable_and_no_other():
