@@ -89,10 +89,11 @@ def program_mutants() -> Iterator[str]:
 
 
 def magnitudes(testbed: str) -> Iterator[str]:
-    """Yield a row for each fault of a testbed: how many of 10 runs are called at each value."""
+    """Yield a row for each fault of a testbed: how many runs are called at each value."""
     called = pd.read_csv(EXPLANATION / "magnitudes.csv")
     called = called[(called["testbed"] == testbed) & called["parameter"].notna()]
-    yield "| mode | value | called of 10, from the smallest value to the largest |"
+    runs = called["runs"].iloc[0]
+    yield f"| mode | value | called of {runs}, from the smallest value to the largest |"
     yield "| --- | --- | --- |"
     for mode, of_mode in called.groupby("mode", sort=False):
         first, last = of_mode.iloc[0], of_mode.iloc[-1]

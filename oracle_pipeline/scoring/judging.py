@@ -422,10 +422,10 @@ def _measured(tables: FeatureTables, card: ReferenceCard) -> MeasuredRuns:
     design = card.scorer.design
     if design.window_features and tables.windows.empty:
         raise ScoringError("The recording is too short to judge: it has no window of 5 s.")
-    run = tables.run.reindex(columns=["run_id", "block", *design.run_columns])
-    windows = tables.windows.reindex(columns=["run_id", "window_start_s", *design.window_columns])
+    run = tables.run.reindex(columns=["block", *design.run_columns])
+    windows = tables.windows.reindex(columns=["window_start_s", *design.window_columns])
     if windows.empty:
-        windows = pd.DataFrame({"run_id": run["run_id"], "window_start_s": 0.0})
+        windows = pd.DataFrame({"window_start_s": [0.0]})
     return MeasuredRuns(run, windows, np.zeros(len(windows), dtype=np.intp))
 
 

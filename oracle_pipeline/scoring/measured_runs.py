@@ -52,9 +52,8 @@ class MeasuredRuns:
         Selecting runs then copies less.
         """
         keys = [column for column in self.features.columns if "." not in column]
-        return MeasuredRuns(
-            _chosen(self.features, [*keys, *of_runs]), _chosen(self.windows, of_windows), self.run
-        )
+        features = select_columns(self.features, [*keys, *of_runs])
+        return MeasuredRuns(features, select_columns(self.windows, of_windows), self.run)
 
     def where(self, chosen: NDArray[np.bool_]) -> "MeasuredRuns":
         """Return the runs of a mask of shape (n_runs,), with their windows."""
@@ -120,10 +119,12 @@ def require_runs(features: pd.DataFrame, table: pd.DataFrame, name: str) -> None
         )
 
 
-def _chosen(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
-    chosen = table[list(columns)]
-    chosen.columns = pd.Index(columns, dtype=object)  # Arrow makes strings anew for each look
-    return chosen
+def select_columns(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
+    """Return some columns of a table, with names that are looked up fast."""
+    names = pd.Index(list(columns), dtype=object)  # Arrow makes strings anew for each look
+    found = table[names]
+    found.columns = names
+    return found
 
 
 def _concat(table: pd.DataFrame, others: pd.DataFrame) -> pd.DataFrame:

@@ -24,7 +24,7 @@ from oracle_pipeline.clustering.scaling import CLIP
 from oracle_pipeline.datasets import MINUS, topic_of_signal
 from oracle_pipeline.detectors import BeyondRange, Detector, LargestGroup, SignalScaler, pipeline
 from oracle_pipeline.features.signals.statistics import OF_WINDOW
-from oracle_pipeline.scoring.measured_runs import MeasuredRuns
+from oracle_pipeline.scoring.measured_runs import MeasuredRuns, select_columns
 
 OF_FEATURES = ("run", "windows")
 BEYOND = {"range": 30, "farthest": 1}  # how many signals beyond their range count
@@ -150,7 +150,7 @@ class RunScorer:
         for level in dict.fromkeys((*design.levels, *design.alarm_levels)):
             if columns := design.columns(level):
                 table = runs.windows if level in OF_WINDOWS else runs.features
-                self.models_[level] = self._fitted(level, _select(table, columns))
+                self.models_[level] = self._fitted(level, select_columns(table, columns))
         self.reach_ = {
             level: np.maximum(self._distances(level, runs.windows).max(axis=0), LEAST_REACH)
             for level in design.alarm_levels
@@ -163,7 +163,8 @@ class RunScorer:
         for level in self.levels:
             is_of_windows = level in OF_WINDOWS
             table = runs.windows if is_of_windows else runs.features
-            of_rows = -self.models_[level].score_samples(_select(table, self.design.columns(level)))
+            seen = select_columns(table, self.design.columns(level))
+            of_rows = -self.models_[level].score_samples(seen)
             if is_of_windows:
                 of_rows = top_windows(of_rows, runs, self.windows_counted_)
             scores.append(of_rows)
@@ -239,12 +240,8 @@ class RunScorer:
 
     def _distances(self, level: str, windows: pd.DataFrame) -> NDArray[np.float64]:
         """Return the distances of the scaled columns from 0, shape (n_windows, n_columns)."""
-        seen = _select(windows, self.design.columns(level))
+        seen = select_columns(windows, self.design.columns(level))
         return np.asarray(np.abs(self.models_[level][0].transform(seen)), dtype=np.float64)
-
-
-def _select(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
-    return table[pd.Index(list(columns), dtype=object)]  # Arrow makes strings anew for each look
 
 
 def top_windows(

@@ -29,8 +29,6 @@ FORKED = [
     "assets.search.closed_loop",
     "sim.atc.drawing",
     "sim.atc.run",
-    "sim.turtlebot3.drawing",
-    "sim.turtlebot3.run",
     "tests.assets.warm",
 ]
 
