@@ -17,7 +17,7 @@ from oracle_pipeline.bags.dds_names import dds_topic
 from oracle_pipeline.bags.discovery import ENTITIES_QOS
 from oracle_pipeline.bags.errors import DdsError
 from oracle_pipeline.bags.qos_profiles import compatible
-from oracle_pipeline.live.intake import PACKETS_S, QUEUE_BYTES, Intake, Received
+from oracle_pipeline.live.intake import PACKETS_S, Intake, Received
 from oracle_pipeline.live.source import Source
 from oracle_pipeline.live.trigger_service import TriggerService
 
@@ -32,16 +32,14 @@ class Domain(Source):
     ----------
     number : int
         Of the domain.
-    queue_bytes : int
-        As for `Intake`.
     service : str
         Name of a `TriggerService`; empty for none.
     """
 
-    def __init__(self, number: int, queue_bytes: int = QUEUE_BYTES, service: str = "") -> None:
+    def __init__(self, number: int, service: str = "") -> None:
         self._participant = dds.join(number)
         self._service = TriggerService(self._participant, service) if service else None
-        intake = _DdsIntake(self._participant, queue_bytes)
+        intake = _DdsIntake(self._participant)
         super().__init__({"domain": number}, DdsDiscovery(self._participant), intake)
 
     def calls(self) -> int:
@@ -61,12 +59,10 @@ class _DdsIntake(Intake):
     ----------
     participant
         Owner of the readers.
-    queue_bytes : int
-        As for `Intake`.
     """
 
-    def __init__(self, participant: dds.Participant, queue_bytes: int = QUEUE_BYTES) -> None:
-        super().__init__(queue_bytes)
+    def __init__(self, participant: dds.Participant) -> None:
+        super().__init__()
         self._participant = participant
         self._ready = dds.ReadyReaders(participant)
         self._requested: dict[str, Qos] = {}

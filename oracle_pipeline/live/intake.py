@@ -30,20 +30,14 @@ class Received(NamedTuple):
 class Intake:
     """Queues the messages of topics; a source subscribes to them, and puts them in.
 
-    Parameters
-    ----------
-    queue_bytes : int
-        Size of the queue [B].
-
     Attributes
     ----------
     topics : dict of str to str
         Message type of each subscribed topic.
     """
 
-    def __init__(self, queue_bytes: int = QUEUE_BYTES) -> None:
+    def __init__(self) -> None:
         self.topics: dict[str, str] = {}
-        self._most_bytes = queue_bytes
         self._queue: list[Received] = []
         self._bytes = 0
         self._lost: Counter[str] = Counter()
@@ -82,7 +76,7 @@ class Intake:
         """Queue messages; any thread may call it."""
         with self._lock:
             for received in came:
-                if self._bytes + len(received.data) > self._most_bytes:
+                if self._bytes + len(received.data) > QUEUE_BYTES:
                     self._lost[received.topic] += 1
                 else:
                     self._queue.append(received)
