@@ -114,7 +114,7 @@ def test_a_process_that_dies_after_its_answer_costs_no_other_recording(monkeypat
 def is_running(number):
     try:
         return Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):  # gone before it was opened, or read
         return False
 
 
