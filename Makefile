@@ -175,6 +175,7 @@ soak: setup-dev ## Kill everything at random moments, fill the disk, flip bits, 
 	python -m tools.soak.aggregates
 	python -m tools.soak.full_disk
 	python -m tools.soak.flips
+	python -m tools.soak.numbers
 	python -m tools.soak.budget
 	python -m tools.soak.watch
 	python -m tools.soak.topics

@@ -23,7 +23,7 @@ _FEWEST_TOPICS = 3  # a gap in these may be one of the recording
 _MOST_NOTED = 5  # faults that are noted beside a verdict
 
 
-@np.errstate(invalid="ignore")  # recordings hold NaN and infinity
+@np.errstate(all="ignore")  # recordings hold NaN and infinity
 def check_recording(path: Path, *, strict: bool = False) -> list[Fault]:
     """Return the faults of a recording, in order of time.
 
@@ -49,7 +49,7 @@ def check_recording(path: Path, *, strict: bool = False) -> list[Fault]:
     return sorted(faults, key=_order)
 
 
-@np.errstate(invalid="ignore")
+@np.errstate(all="ignore")
 def fault_sentences(recording: KeptMessages, collector: SignalCollector) -> list[str]:
     """Return the faults of a recording that was read for its features, as sentences."""
     found = sorted(_faults(recording, collector), key=_order)

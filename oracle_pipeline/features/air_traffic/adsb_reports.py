@@ -174,7 +174,8 @@ def _prepare_reports(window: fp.Window) -> _Reports:
             where = f"{topic} {address}"
             velocity[where] = velocity_residual(flight)
             intervals[where] = fp.Series(flight.times_s[1:], np.diff(flight.stamps_s))
-        begun[topic], ended[topic] = _sudden(list(aircraft.values()), series.times_s)
+        if aircraft:
+            begun[topic], ended[topic] = _sudden(list(aircraft.values()), series.times_s)
     return _Reports(velocity, intervals, begun, ended)
 
 
@@ -186,7 +187,7 @@ def _compute_reports(window: fp.Window) -> fp.Values:
         {topic: float(len(s[within(s, window)])) for topic, s in events.items()}
         for events in (reports.begun_s, reports.ended_s)
     )
-    begun, ended = (largest(count, "") for count in counts)
+    begun, ended = (largest(count, alone) for count in counts)
     return {
         "velocity_residual": largest(
             {w: quantile(s, window, 0.5) for w, s in reports.velocity.items()}, alone

@@ -333,20 +333,14 @@ def _wide(numbers: NDArray[Any]) -> NDArray[Any]:
 
 
 def _texts(data: bytes, starts: _Ints, sizes: _Ints) -> NDArray[np.object_]:
-    """Return strings; equal ones, which are common, are decoded once.
-
-    Raises
-    ------
-    UnicodeDecodeError
-        If one is not UTF-8.
-    """
+    """Return strings; equal ones, which are common, are decoded once."""
     firsts = np.flatnonzero(_differ(np.frombuffer(data, np.uint8), starts, sizes))
     texts = np.empty(len(firsts), dtype=object)
     known: dict[bytes, str] = {}
     for row, first in enumerate(firsts.tolist()):
         raw = data[starts[first] : starts[first] + sizes[first]]
         if raw not in known:
-            known[raw] = raw.removesuffix(b"\0").decode()
+            known[raw] = raw.removesuffix(b"\0").decode("utf-8", "replace")
         texts[row] = known[raw]
     return np.repeat(texts, np.diff(firsts, append=len(starts)))
 

@@ -72,9 +72,8 @@ def sliced(cloud: Any) -> _PlanarScan:
     """
     x, y, z = _coordinates(cloud)
     distance = np.hypot(x, y)
-    with np.errstate(invalid="ignore"):
-        near = np.abs(z) <= np.maximum(_HEIGHT_M, _ELEVATION * distance)
-        near &= (distance >= NEAREST_M) & (distance <= FARTHEST_M)
+    near = np.abs(z) <= np.maximum(_HEIGHT_M, _ELEVATION * distance)
+    near &= (distance >= NEAREST_M) & (distance <= FARTHEST_M)
     ray = np.round((np.arctan2(y[near], x[near]) + math.pi) * (RAYS / (2.0 * math.pi)))
     ranges = np.full(RAYS, np.inf)
     np.minimum.at(ranges, ray.astype(np.int64) % RAYS, distance[near])

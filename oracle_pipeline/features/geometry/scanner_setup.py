@@ -29,7 +29,7 @@ class ScannerSetup:
     """The scanners of a robot, their mounts, and the robot's motion."""
 
     scanners: Mapping[str, RecordedScans]  # by topic
-    mounts: Mapping[str, SensorMount]  # by topic, without scanners that are tilted or turn no ray
+    mounts: Mapping[str, SensorMount]  # of those that are level and have bearings
     tree: TransformTree
     motion: OdometryPath | None
 
@@ -67,7 +67,7 @@ def _setup(topics: Mapping[str, Mapping[str, Series]]) -> ScannerSetup:
         {
             topic: mount
             for topic, mount in mounts.items()
-            if mount.pose is not None and np.all(scanners[topic].angle_increment != 0.0)
+            if mount.pose is not None and scanners[topic].have_bearings()
         },
         tree,
         None if odometry is None else OdometryPath(odometry, tree),

@@ -21,6 +21,7 @@ Bools: TypeAlias = NDArray[np.bool_]
 Points: TypeAlias = NDArray[np.complex128]  # x + iy [m]
 
 _BLOCK_RAYS: Final = 2**16  # rays per batch, which fits into the processor's cache
+_FINEST_RAD: Final = 1e-6  # from ray to ray: 6 million around
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +103,11 @@ class RecordedScans:
         self._is_even = self.rays == min(map(len, ranges))
         self._ranges = np.empty(len(ranges), dtype=object)
         self._ranges[:] = ranges
+
+    def have_bearings(self) -> bool:
+        """Return whether each ray of each scan has a bearing, and a number around the circle."""
+        steps = np.abs(self.angle_increment)
+        return bool(np.all((steps >= _FINEST_RAD) & (steps <= np.pi) & np.isfinite(self.angle_min)))
 
     def rows(self, index: Ints | slice) -> Scans:
         """Return some of the scans, with their ranges as one array."""

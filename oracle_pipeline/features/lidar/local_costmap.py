@@ -26,6 +26,8 @@ GRIDS = fp.Request(keep_grids, role=LOCAL_COSTMAP, dtype=object, many=True)
 def changes(before: MapGrid, now: MapGrid) -> tuple[int, int]:
     """Count the cells that became lethal, and those that ceased to be, where the grids overlap."""
     offset = complex(before.pose.inverse().apply(now.pose.translation) / before.resolution)
+    if not np.isfinite(offset):
+        return 0, 0
     rows = _shared(round(offset.imag), len(before.cells), len(now.cells))
     columns = _shared(round(offset.real), before.cells.shape[1], now.cells.shape[1])
     was, became = (

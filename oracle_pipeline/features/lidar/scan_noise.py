@@ -199,8 +199,7 @@ def _standing(setup: ScannerSetup, topic: str, scans: RecordedScans) -> tuple[fp
 
 def _changes(before: Floats, now: Floats) -> tuple[Floats, Floats]:
     """Return the difference of ranges [m] and the share of large differences, for each scan."""
-    with np.errstate(invalid="ignore"):  # inf less inf
-        change = np.abs(now - before)
+    change = np.abs(now - before)
     deviation, share = np.full(len(change), np.nan), np.full(len(change), np.nan)
     for k, (row, known) in enumerate(zip(change, np.isfinite(change), strict=True)):
         if known.any():

@@ -114,10 +114,8 @@ def _fields(
 
 def _rotation(q: Columns, path: str) -> Iterator[_Field]:
     (x, y, z, w), norm = _unit(q)
-    with np.errstate(invalid="ignore"):
-        pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
     yield f"{path}.roll", "rad", np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    yield f"{path}.pitch", "rad", pitch
+    yield f"{path}.pitch", "rad", np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
     yield f"{path}.yaw", "rad", np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     yield f"{path}.norm", "1", norm
 
@@ -137,8 +135,7 @@ def _unit(q: Columns) -> tuple[Floats, Floats]:
     """Return x, y, z and w of quaternions of unit length, shape (4, n), and what they had."""
     numbers = np.stack([getattr(q, name) for name in "xyzw"]).astype(np.float64)
     norm = np.sqrt((numbers * numbers).sum(axis=0))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return numbers / norm, norm
+    return numbers / norm, norm
 
 
 def _array(arrays: Any, path: str, unit: str, labels: Sequence[str]) -> Iterator[_Field]:
@@ -203,8 +200,7 @@ def _means(
     if not len(elements):
         return
     for name, unit, values in _fields(elements, store, msgtype):
-        with np.errstate(invalid="ignore", divide="ignore"):
-            yield f"{path}.{name}", unit, np.bincount(elements.owners, values, count) / sizes
+        yield f"{path}.{name}", unit, np.bincount(elements.owners, values, count) / sizes
 
 
 def _labels(messages: Columns, store: Typestore, msgtype: str) -> Sequence[str]:

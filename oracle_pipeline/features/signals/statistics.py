@@ -170,9 +170,8 @@ def _of_finite(values: Floats, adjacent: Adjacent, of_run: bool) -> Floats:
     spread, changes = np.where(is_constant, 0.0, [deviation, change])
     if not of_run:
         return np.stack([mean, spread, low, high, changes, *[unknown] * 2])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        products = (centred[1:] * centred[:-1])[near]
-        correlation = products.sum(axis=0) / (squares * (len(products) + 1))
+    products = (centred[1:] * centred[:-1])[near]
+    correlation = products.sum(axis=0) / (squares * (len(products) + 1))
     correlation = np.where(is_constant, 1.0, correlation)
     held = np.array([*_held(steps)])
     return np.stack([mean, spread, low, high, changes, correlation, held])

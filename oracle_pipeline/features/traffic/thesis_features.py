@@ -52,9 +52,8 @@ def graph_numbers(graph: RosGraph) -> dict[str, float]:
     degrees = np.array([degree for _, degree in graph.degree()])
     vertices_of_degree = np.bincount(degrees)
     centrality = list(nx.in_degree_centrality(graph).values())
-    with np.errstate(divide="ignore", invalid="ignore"):  # a vertex without edges: NaN
-        share = degrees / degrees.sum()
-        entropy = -np.sum(share * np.log(share))
+    share = degrees / degrees.sum()
+    entropy = -np.sum(share * np.log(share))  # NaN with a vertex without edges
     return {
         "max_degree": float(np.argmax(vertices_of_degree)),
         "avg_degree": len(degrees) / len(vertices_of_degree),
@@ -90,8 +89,7 @@ def _wrapped_yaw(messages: Any) -> NDArray[np.float64]:
 
 def range_variance(messages: Any) -> NDArray[np.float64]:
     """Return the variance of all ranges of scans [m^2]; NaN if one of them is not finite."""
-    with np.errstate(invalid="ignore"):
-        return np.array(each(_row_variances, messages.ranges))
+    return np.array(each(_row_variances, messages.ranges))
 
 
 def _row_variances(ranges: NDArray[np.floating[Any]]) -> NDArray[np.float64]:

@@ -117,6 +117,12 @@ def test_honest_reports_have_no_residuals(extracted):
     assert values["appearances"] == values["disappearances"] == 0.0
 
 
+def test_without_any_valid_report_nothing_is_computed(extracted):
+    values, _, missing = extracted(flown(lambda report: replace(report, latitude=91.0)))
+    assert np.isnan(values["appearances"])
+    assert "two ADS-B reports" in missing["appearances"]
+
+
 def test_a_false_position_is_found_and_does_not_move_the_antenna(extracted):
     def north(message):
         moved = message.icao24 == "A00002"

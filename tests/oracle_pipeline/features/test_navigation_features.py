@@ -236,7 +236,8 @@ def test_costmaps_are_compared_where_they_overlap():
     moved = grid([[0, 100, 0], [0, 0, 100]], 0.5 + 0j)  # one column on; the same cell is lethal
     assert local_costmap.changes(before, moved) == (0, 0)  # the last column was not there before
     assert local_costmap.changes(before, before._replace(cells=before.cells * 0)) == (0, 1)
-    assert local_costmap.changes(grid([[0, 0], [0, 0]], 99 + 99j), before) == (0, 0)
+    for nowhere in (99 + 99j, complex(np.nan, 0.0), complex(0.0, np.inf)):
+        assert local_costmap.changes(grid([[0, 0], [0, 0]], nowhere), before) == (0, 0)
 
 
 @given(st.integers(-4, 4), st.integers(-4, 4))

@@ -84,6 +84,7 @@ ODD = {
     "negative ranges": ranges(lambda _: [-1.0, -np.inf] * 6),
     "no angle between beams": altered("/scan", angle_increment=lambda _: 0.0),
     "a tiny angle between beams": altered("/scan", angle_increment=lambda _: 1e-30),
+    "a turn from beam to beam": altered("/scan", angle_increment=lambda _: 7.0),
     "endless angles": altered("/scan", angle_min=lambda _: np.inf, angle_max=lambda _: np.nan),
     "all at once": [(1.0, topic, message) for _, topic, message in drive()],
     "a map without cells": grid(0, 0, 0, 0.05),
@@ -103,6 +104,23 @@ def test_odd_content_breaks_no_plugin_and_takes_little_memory(name, tmp_path, ca
     assert not [record for record in caplog.records if record.levelno >= logging.WARNING]
     (row,) = measured.run.rows()
     assert row["generic.message_rate"] > 0.0
+
+
+def test_a_name_that_is_not_utf_8_is_a_name(tmp_path):
+    with BagWriter(tmp_path / "named") as named, BagWriter(tmp_path / "renamed") as renamed:
+        for seconds, topic, message in drive():
+            data = serialize(message, message.__msgtype__)
+            for bag, frame in ((named, b"base_scan"), (renamed, b"base_sc\xe4n")):
+                bag.add_topic(topic, message.__msgtype__, [])
+                at_ns = START_NS + round(seconds * 1e9)
+                bag.write(topic, at_ns, data.replace(b"base_scan", frame.ljust(9, b"_")))
+    rows = []
+    for name in ("named", "renamed"):
+        with open_run(tmp_path / name) as run:
+            (row,) = measure(run, MANAGER).run.rows()
+        rows.append({n: v for n, v in row.items() if v == v and n != "run_id"})
+    compressed = {n for n in rows[0] if rows[0][n] != rows[1].get(n)}  # sees bytes, not names
+    assert compressed <= {"generic.compressibility_std", "generic.compressibility_mean"}
 
 
 BROKEN = {

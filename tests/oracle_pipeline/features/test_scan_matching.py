@@ -3,9 +3,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from oracle_pipeline.features.engine.plugin import Series
 from oracle_pipeline.features.geometry.planar_pose import PlanarPose
 from oracle_pipeline.features.geometry.scan_matching import along_arc, steps
-from oracle_pipeline.features.geometry.scans import Scans
+from oracle_pipeline.features.geometry.scans import RecordedScans, Scans
 from oracle_pipeline.features.geometry.transform_tree import SensorMount
 from tests.oracle_pipeline.features.scenery import RANGE_MAX_M, RAYS, Pose, World
 
@@ -79,3 +80,20 @@ def test_the_way_along_an_arc_is_longer_than_its_chord():
     quarter = np.array([np.pi / 2])
     chord = np.sqrt(2.0) * np.exp(0.25j * np.pi)  # of a unit circle, seen from where it begins
     assert chord * along_arc(quarter)[0] == pytest.approx(np.pi / 2)
+
+
+def turning(start: float, increment: float) -> RecordedScans:
+    values = [(stamp_s, "laser", start, increment, 3.5, np.ones(8)) for stamp_s in (0.0, 0.4)]
+    return RecordedScans(Series(np.array([0.0, 0.4]), values))
+
+
+@given(st.floats(), st.floats() | st.floats(-1e-5, 1e-5))
+def test_a_circle_can_be_counted_in_rays_that_have_bearings(start, increment):
+    if turning(start, increment).have_bearings():
+        assert np.isfinite(start)
+        assert 2.0 <= 2.0 * np.pi / abs(increment) < 2**31
+
+
+@given(st.floats(-np.pi, np.pi), st.floats(1e-4, 0.5), st.sampled_from([-1.0, 1.0]))
+def test_the_rays_of_usual_scanners_have_bearings(start, step, sense):
+    assert turning(start, sense * step).have_bearings()
