@@ -49,7 +49,6 @@ def check_recording(path: Path, *, strict: bool = False) -> list[Fault]:
     return sorted(faults, key=_order)
 
 
-@np.errstate(all="ignore")
 def fault_sentences(recording: KeptMessages, collector: SignalCollector) -> list[str]:
     """Return the faults of a recording that was read for its features, as sentences."""
     found = sorted(_faults(recording, collector), key=_order)

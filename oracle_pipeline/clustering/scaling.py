@@ -80,8 +80,7 @@ class FlooredRobustScaler(TransformerMixin, BaseEstimator):  # type: ignore[misc
         indicated = np.isin(self.kept_, self.indicated_)
         kept = len(self.kept_)
         scaled = np.empty((len(X), kept + len(self.indicated_)))
-        with np.errstate(over="ignore"):
-            scaled[:, :kept] = ((values - self.center_[:, None]) / self.scale_[:, None]).T
+        scaled[:, :kept] = ((values - self.center_[:, None]) / self.scale_[:, None]).T
         scaled[:, kept:] = np.isnan(values[indicated]).T
         np.clip(scaled, -CLIP, CLIP, out=scaled)
         return np.nan_to_num(scaled, copy=False, nan=0.0)

@@ -86,8 +86,7 @@ class UsualRanges:
         scaler = self.scaler
         units = {feature: field.get("unit", "") for feature, field in field_metadata(row).items()}
         values = row[scaler.kept_].iloc[0].to_numpy(dtype=np.float64)
-        with np.errstate(over="ignore"):
-            distance = (values - scaler.center_) / scaler.scale_
+        distance = (values - scaler.center_) / scaler.scale_
         unusual = ((values < self.low) | (values > self.high)) & (np.abs(distance) >= LEAST_Z)
         found = np.flatnonzero(np.isfinite(values) & unusual)
         farthest = found[np.argsort(-np.abs(distance[found]), kind="stable")]

@@ -218,9 +218,7 @@ def trace_of(recording: KeptMessages) -> pd.DataFrame:
         a signal holds its last value, and is NaN before its first.
     """
     whole = Span(0, recording.clock.duration_ns)
-    window = recording.window(TRACE, whole, recording.span(whole, NO_GRAPH))
-    if isinstance(window, fp.Missing):  # a topic cannot be decoded
-        window = recording.span(whole, NO_GRAPH)
+    window = recording.usable(TRACE, whole, recording.span(whole, NO_GRAPH))
     clock = np.arange(0.0, whole.end_s, STEP_S)
     columns = {name: np.full(len(clock), np.nan) for name in SIGNALS}
     columns.update(signals(window, clock))
@@ -236,7 +234,7 @@ def signals(window: fp.Window, clock: Floats) -> dict[str, Floats]:
     broken = [
         series.times_s[~np.isfinite(series.values).all(axis=1)]
         for key in moving
-        for series in window.topics.get(key, {}).values()
+        for series in window.topics[key].values()
     ]
     found["non_finite"] = _cumulative_count(np.concatenate([np.zeros(0), *broken]), clock)
     found["quiet_topics"] = quiet_topics(window.arrivals, clock)
@@ -260,9 +258,9 @@ def quiet_topics(arrivals: Mapping[str, fp.TopicArrivals], clock: Floats) -> Flo
 
 
 def _driven(window: fp.Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
-    if (commands := _one(window, "command")) is not None:
+    if (commands := fp.sole_series(window.topics["command"])) is not None:
         yield from zip(("command_speed", "command_turn"), _held(commands, clock), strict=True)
-    if (odometry := _one(window, "odometry")) is not None:
+    if (odometry := fp.sole_series(window.topics["odometry"])) is not None:
         x, y, speed, turn = _held(odometry, clock)
         yield "speed", speed
         yield "turn", turn
@@ -271,18 +269,18 @@ def _driven(window: fp.Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
 
 
 def _sensed(window: fp.Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
-    if (inertial := fp.sole_series(window.topics.get("inertial", {}))) is not None:
+    if (inertial := fp.sole_series(window.topics["inertial"])) is not None:
         yield from zip(("gyro_turn", "acceleration"), _held(inertial, clock), strict=True)
-    if (poses := _one(window, "pose")) is not None:
+    if (poses := fp.sole_series(window.topics["pose"])) is not None:
         yield "pose_spread", _held(poses, clock)[2]
-        if (odometry := _one(window, "odometry")) is not None:
+        if (odometry := fp.sole_series(window.topics["odometry"])) is not None:
             by_odometry = _held(odometry, poses.times_s)[:2].T
             jumps = np.abs(_strides(poses.values[:, :2]) - _strides(by_odometry))
             yield "pose_jump", _held(fp.Series(poses.times_s, jumps[:, None]), clock)[0]
 
 
 def _scanned(window: fp.Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
-    scans = window.topics.get("scans", {})
+    scans = window.topics["scans"]
     if not scans:
         return
     of_all = np.array([_held(series, clock) for series in scans.values()])
@@ -308,15 +306,10 @@ def _navigated(window: fp.Window, clock: Floats) -> Iterator[tuple[str, Floats]]
 
 
 def _logged(window: fp.Window, clock: Floats) -> Iterator[tuple[str, Floats]]:
-    logs = window.topics.get("logged", {}).values()
+    logs = window.topics["logged"].values()
     if logs:
         bad = [series.times_s[series.values >= _ERROR] for series in logs]
         yield "errors", _cumulative_count(np.concatenate(bad), clock)
-
-
-def _one(window: fp.Window, key: str) -> fp.Series | None:
-    """Return the values of a role that only one topic has."""
-    return fp.sole_series(window.topics.get(key, {}))
 
 
 def _held(series: fp.Series, clock: Floats) -> Floats:

@@ -20,6 +20,8 @@ from multiprocessing.context import ForkContext, ForkServerContext
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
+import numpy as np
+
 from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.bags.merging import Messages
 from oracle_pipeline.bags.processes import FINDS_OURS
@@ -288,6 +290,7 @@ def _within(work: Callable[[Path], object], path: Path, limits: Limits) -> objec
     return _answer(work, path, limits)
 
 
+@np.errstate(all="ignore")  # recordings hold NaN, infinity and what overflows
 def _answer(work: Callable[[Path], Any], path: Path, limits: Limits) -> Any:
     try:
         return work(path)

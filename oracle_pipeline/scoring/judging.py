@@ -248,6 +248,7 @@ def judge_all(recordings: Sequence[Recording], card: ReferenceCard, far: float) 
     return [decided(verdict, far) for verdict, _ in _without_evidence(recordings, card)]
 
 
+@np.errstate(all="ignore")  # features may be as large as numbers can be
 def _scored(
     recording: str, tables: FeatureTables, card: ReferenceCard, seen: Observation | None
 ) -> Verdict:

@@ -75,6 +75,7 @@ def learn(reference: Reference, detector: str = "") -> ReferenceCard:
     return card if remaining is None else _learned(remaining, detector)
 
 
+@np.errstate(all="ignore")  # features may be as large as numbers can be
 def _learned(reference: Reference, detector: str) -> ReferenceCard:
     """Learn from all runs of a reference."""
     notes = []

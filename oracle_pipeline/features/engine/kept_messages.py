@@ -155,12 +155,19 @@ class KeptMessages:
                     return fp.Missing(f"{name} cannot be used: {kept.error}")
             if not request.optional and not requests[key]:
                 return fp.Missing(f"no topic {request} is recorded")
-        topics = _Slices(requests, span, silent=False)
+        window = self.usable(plugin, span, common)
         for key, request in plugin.topics.items():
-            if not request.optional and not topics[key]:
+            if not request.optional and not window.topics[key]:
                 return fp.Missing(f"no message on {', '.join(requests[key])} in this window")
-        history = _Slices(requests, Span(0, span.end_ns), silent=True)
-        return replace(common, topics=topics, history=history, prepared=prepared)
+        return replace(window, prepared=prepared)
+
+    def usable(self, plugin: fp.FeaturePlugin, span: Span, common: fp.Window) -> fp.Window:
+        """Return the window of a span for one plugin, without the topics that cannot be used."""
+        topics, history = (
+            _Slices(self._kept[plugin.name], part, silent=silent)
+            for part, silent in ((span, False), (Span(0, span.end_ns), True))
+        )
+        return replace(common, topics=topics, history=history)
 
     def _close(self, index: MessageIndex, carried: Carried) -> None:
         """Convert what was kept to arrays by time; note what was not used."""
@@ -204,10 +211,9 @@ class _Slices(Mapping[str, Mapping[str, fp.Series]]):
         self._silent = silent  # topics without a row are there, too
 
     def __getitem__(self, key: str) -> Mapping[str, fp.Series]:
-        series = {name: kept.within(self._span) for name, kept in self._requests[key].items()}
-        if self._silent:
-            return series
-        return {name: each for name, each in series.items() if len(each.times_s)}
+        usable = {name: kept for name, kept in self._requests[key].items() if not kept.error}
+        series = {name: kept.within(self._span) for name, kept in usable.items()}
+        return {name: each for name, each in series.items() if self._silent or len(each.times_s)}
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._requests)

@@ -9,6 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from oracle_pipeline.bags.types import serialize
+from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.cli import main
 from oracle_pipeline.evaluation.kinds_comparison import UNION, compare_kinds
 from oracle_pipeline.features.engine.plugin import TopicArrivals
@@ -23,6 +25,7 @@ from oracle_pipeline.oracles.registry import build_kinds
 from oracle_pipeline.oracles.requirements import NAV2, Requirements, load
 from oracle_pipeline.oracles.specified import Specified
 from oracle_pipeline.oracles.traces import STEP_S, _keep_scans, quiet_topics
+from tests.oracle_pipeline.features.conftest import drive
 from tests.oracle_pipeline.oracles.made_runs import campaign, trace
 
 
@@ -255,6 +258,22 @@ def test_the_trace_of_a_bag_has_the_robots_motion(recorded_run):
     assert 0.2 < read["nearest_min"].min() <= read["nearest_max"].max()
     assert read["goal_time"].max() > 5.0
     assert read[["goals_failed", "errors", "non_finite"]].to_numpy().max() == 0.0
+
+
+def test_the_trace_of_a_bag_with_a_broken_topic_has_the_signals_of_the_others(tmp_path):
+    from oracle_pipeline.opened_run import open_run
+    from oracle_pipeline.oracles.traces import read_trace
+    from oracle_pipeline.robots.robot import find_robots
+
+    with BagWriter(tmp_path / "bag") as bag:
+        for seconds, topic, message in drive():
+            data = serialize(message, message.__msgtype__)
+            bag.add_topic(topic, message.__msgtype__, [])
+            bag.write(topic, round(seconds * 1e9), data[: None if topic == "/odom" else 24])
+    with open_run(tmp_path / "bag") as run:
+        read = read_trace(find_robots(run.bag)[0])
+    assert read["travelled"].iloc[-1] > 5.0
+    assert read[["nearest_min", "goal_time"]].isna().all(axis=None)
 
 
 def test_a_trace_without_a_signal_is_judged_by_the_others():
