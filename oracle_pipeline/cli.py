@@ -7,7 +7,6 @@ Exit codes: 0 success, 2 failure for any reason. ``oracle score`` adds 1: anomal
 """
 
 import json
-import math
 import shlex
 import sys
 import time
@@ -221,10 +220,6 @@ def _print_roles(recording: Path, *, strict: bool) -> None:
         click.echo(roles_as_text(find_robots(run.bag)))
 
 
-def _is_nan(value: object) -> bool:
-    return isinstance(value, float) and math.isnan(value)
-
-
 def _text(table: "Table", tables: "RecordingFeatures") -> str:
     """Return a feature table for reading, and the notes on it."""
     from oracle_pipeline.features.engine.table_text import as_text
@@ -238,7 +233,7 @@ def _json(table: "Table", tables: "RecordingFeatures") -> str:
 
     rows = [
         {
-            **{column: None if _is_nan(value) else value for column, value in row.items()},
+            **{column: value if value == value else None for column, value in row.items()},
             **{column: json.loads(row[column]) for column in (WHERE, MISSING)},
         }
         for row in table.rows()

@@ -111,6 +111,7 @@ def read_sets(first: Path, second: Path, manager: FeatureManager) -> tuple[Refer
     return sets[first], sets[second]
 
 
+@np.errstate(all="ignore")  # features may be as large as numbers can be
 def compare(first: Reference, second: Reference, level: float = 0.05) -> SetComparison:
     """Compare two sets of recordings.
 

@@ -111,6 +111,7 @@ class _LearnedInvariants:
     runs: int
     extremes: _Extremes
 
+    @np.errstate(over="ignore")
     def score(self, runs: TracedRuns) -> NDArray[np.float64]:
         """Return each run's largest violation of an invariant, in scales."""
         least, largest = runs.each(self.extremes).transpose(1, 0, 2)

@@ -56,6 +56,7 @@ class Reference:
         return np.asarray(numbers, dtype=np.intp)
 
 
+@np.errstate(all="ignore")  # features may be as large as numbers can be
 def read_reference(
     paths: Sequence[Path], manager: FeatureManager, choices: RoleChoices | None = None
 ) -> Reference:

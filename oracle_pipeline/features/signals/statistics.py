@@ -72,6 +72,7 @@ class SignalTable:
             for each, periods in zip(self._signals, self._periods, strict=True)
         ]
         numbers = np.concatenate([each.T.ravel() for each in found]) if found else np.empty(0)
+        numbers[np.isinf(numbers)] = np.nan  # of numbers whose squares overflow
         columns = self._window_columns if per_window else self._columns
         return dict(zip(columns, numbers.tolist(), strict=True))
 

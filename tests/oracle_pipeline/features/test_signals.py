@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
 from oracle_pipeline import features
@@ -49,6 +50,14 @@ def test_a_field_may_be_named_as_the_rate_of_a_counter_is(per_window):
     found = table.values(Span(0, 10_000_000_000), per_window=per_window)
     (rate,) = [value for name, value in found.items() if name.endswith("count.rate.mean")]
     assert rate == 7.0
+
+
+@given(hnp.arrays(np.float64, (6, 2)), st.booleans())
+def test_no_statistic_of_any_numbers_is_infinite(values, per_window):
+    signals = Signals("/log", ("a", "b"), ("", "rad"), np.arange(6), values)
+    with np.errstate(all="ignore"):
+        found = SignalTable([signals]).values(Span(0, 10), per_window=per_window)
+    assert not np.isinf([*found.values()]).any()
 
 
 @pytest.mark.parametrize(("count", "told"), [(1, {"mean"}), (2, {"mean", "min", "max"})])
