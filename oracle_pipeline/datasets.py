@@ -385,7 +385,7 @@ def parse_table(
     try:
         source = pa.BufferReader(content)
         table = pq.read_table(source, columns=columns and list(columns), filters=kept)
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, ValueError) as error:
         raise DatasetError(
             f"{name} is not a Parquet table ({error}); materialize it again."
         ) from error

@@ -78,9 +78,7 @@ def code_hash(
     return digest.hexdigest()[:16]
 
 
-def dependencies(
-    modules: Iterable[str], *, within: Collection[str] = PACKAGES, root: Path = ROOT
-) -> list[Path]:
+def dependencies(modules: Iterable[str], *, root: Path = ROOT) -> list[Path]:
     """Return the files that modules depend on, in order: modules, and the data of their packages.
 
     Importing a module runs the ``__init__`` of each package above it, so these count as well. Data
@@ -91,7 +89,7 @@ def dependencies(
     LookupError
         If there is no such module.
     """
-    return [file for _, file in _dependencies(modules, within, root)]
+    return [file for _, file in _dependencies(modules, PACKAGES, root)]
 
 
 def _dependencies(

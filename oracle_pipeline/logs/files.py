@@ -85,5 +85,5 @@ def _has_features(path: Path) -> bool:
 
     try:
         return set(pq.read_schema(path).names) >= _KEYS
-    except (pa.ArrowException, OSError):
+    except (pa.ArrowException, OSError, ValueError):
         return False  # a damaged one is for the reader, which says so

@@ -1,7 +1,8 @@
 """What every reader of logs returns: topics, each with times and columns of numbers."""
 
+import sys
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,7 +25,8 @@ def reading(path: Path, kind: str) -> Iterator[None]:
     """
     try:
         refuse_pointer(path)
-        yield
+        with redirect_stdout(sys.stderr):  # pyulog prints
+            yield
     except (BagError, ModuleNotFoundError):
         raise
     except Exception as error:

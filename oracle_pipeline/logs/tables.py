@@ -45,6 +45,7 @@ _NUMBERS = re.compile(r"[\[(]?\s*-?[\d.].*[\d.]\s*[\])]?")
 _STEPS = (("ns", 2e6), ("us", 2e3), ("ms", 2.0))  # a robot logs more than a row in two seconds
 _FRAMES = {"header.frame_id", "child_frame_id"}  # names, though they may be numbers or blank
 _LABELS = {"label", "labels", "class", "target", "anomaly", "is_anomaly"}  # answers, not signals
+_LATEST_NS = 2.0**62  # in 2116; a later time is damage
 _MOSTLY = 0.9  # of the cells of a column must be numbers, or it counts as text
 
 
@@ -278,9 +279,10 @@ def _guessed_unit(column: str, values: NDArray[np.float64]) -> str:
     """Return the unit of a time, by its name, its size since 1970, or its steps."""
     if match := _UNIT.search(column):
         return match[1].lower()
-    largest = float(np.nanmax(np.abs(values), initial=0.0))
+    sizes = np.abs(values[np.isfinite(values)])
+    usual = float(np.median(sizes)) if len(sizes) else 0.0  # a damaged time may have any size
     for unit, since_1970 in (("ns", 1e17), ("us", 1e14), ("ms", 1e11)):
-        if largest > since_1970:
+        if usual > since_1970:
             return unit
     steps = np.diff(np.sort(values))
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
@@ -297,12 +299,10 @@ def _times_ns(file: Path, frame: pd.DataFrame, about: TopicLayout) -> NDArray[np
         times = times * (SECONDS[about.time_unit or "s"] * 1e9)
     else:
         times = _clock_ns(file, column)
+    times = np.where(np.abs(times) < _LATEST_NS, times, np.nan)
     if not np.isfinite(times).any():
         raise LogError(f"{file}: {about.time_column} holds no time.")
-    times = np.where(np.isfinite(times), times, np.nan)
-    if np.nanmin(times) < 0.0:  # bags begin in 1970
-        times = times - np.nanmin(times)
-    return np.asarray(times, dtype=np.float64)
+    return np.asarray(times - min(0.0, np.nanmin(times)))  # bags begin in 1970
 
 
 def _clock_ns(file: Path, column: pd.Series) -> NDArray[np.float64]:

@@ -81,8 +81,9 @@ def test_damaged_log_is_refused_in_one_line_or_read_in_part(kind, tmp_path):
     path = write(tmp_path)
     file = next(path.parent.glob("data/*/*1.parquet")) if kind == "lerobot" else path
     content = file.read_bytes()
-    for cut in (20, len(content) // 3, len(content) - 7):
-        file.write_bytes(content[:cut])
+    cuts = (content[:size] for size in (20, len(content) // 3, len(content) - 7))
+    for damaged in (*cuts, content.replace(b"o", b"\xed")):  # which is no text
+        file.write_bytes(damaged)
         counts, refusal = _counts(path)
         assert counts.get(topic, 0) <= samples.COUNT
         assert bool(counts) != bool(refusal)
@@ -421,6 +422,15 @@ def test_dates_of_antiquity_are_no_times(tmp_path):
     file.write_text("time,x\n0001-01-01 00:00:00,1\n0001-01-01 00:00:01,2\n")
     with pytest.raises(BagError, match="time"):
         read_tables(file)
+
+
+@pytest.mark.parametrize("time", ["1e300", "-1e300", "inf", "nan", ""])
+def test_a_time_that_no_clock_shows_is_none(time, tmp_path):
+    file = tmp_path / "t.csv"
+    file.write_text(f"time,x\n0,1\n0.25,2\n{time},3\n0.75,4\n1,5\n")
+    log = read_tables(file)
+    assert (log.topics[0].times_ns == [0, 250_000_000, 750_000_000, 1_000_000_000]).all()
+    assert "1 rows without a time are not used." in log.notes
 
 
 def test_label_is_never_a_signal(tmp_path):
