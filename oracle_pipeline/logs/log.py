@@ -1,8 +1,8 @@
 """What every reader of logs returns: topics, each with times and columns of numbers."""
 
-import sys
+import os
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,11 +21,12 @@ class LogError(BagError):
 def reading(path: Path, kind: str) -> Iterator[None]:
     """Turn any error of a parser into a `LogError` of one line; parsers of damaged files raise all.
 
-    A package that is not installed stays a ``ModuleNotFoundError``.
+    A package that is not installed stays a ``ModuleNotFoundError``. What a parser prints, such as a
+    line for each damaged byte, is dropped.
     """
     try:
         refuse_pointer(path)
-        with redirect_stdout(sys.stderr):  # pyulog prints
+        with Path(os.devnull).open("w") as none, redirect_stdout(none), redirect_stderr(none):
             yield
     except (BagError, ModuleNotFoundError):
         raise

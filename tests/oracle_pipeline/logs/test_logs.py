@@ -76,7 +76,7 @@ def test_a_data_set_is_given_to_commands_as_its_episodes(tmp_path):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_damaged_log_is_refused_in_one_line_or_read_in_part(kind, tmp_path):
+def test_damaged_log_is_refused_in_one_line_or_read_in_part(kind, tmp_path, capfd):
     write, topic, _ = samples.SAMPLES[kind]
     path = write(tmp_path)
     file = next(path.parent.glob("data/*/*1.parquet")) if kind == "lerobot" else path
@@ -88,6 +88,7 @@ def test_damaged_log_is_refused_in_one_line_or_read_in_part(kind, tmp_path):
         assert counts.get(topic, 0) <= samples.COUNT
         assert bool(counts) != bool(refusal)
         assert "\n" not in refusal
+        assert capfd.readouterr() == ("", "")
 
 
 def _counts(path: Path) -> tuple[dict[str, int], str]:
