@@ -23,7 +23,6 @@ _FEWEST_TOPICS = 3  # a gap in these may be one of the recording
 _MOST_NOTED = 5  # faults that are noted beside a verdict
 
 
-@np.errstate(all="ignore")  # recordings hold NaN and infinity
 def check_recording(path: Path, *, strict: bool = False) -> list[Fault]:
     """Return the faults of a recording, in order of time.
 

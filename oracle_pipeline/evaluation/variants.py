@@ -65,10 +65,6 @@ def _scale_rows(rows: pd.DataFrame, columns: Sequence[str]) -> NDArray[np.float6
     return np.asarray(scaler.fit_transform(rows[list(columns)]), dtype=np.float64)
 
 
-def _families(df: pd.DataFrame, features: FeatureSet) -> list[str]:
-    return feature_columns(df, ALL_FAMILIES if features == "all" else [features])
-
-
 def _of_whole_vectors(df: pd.DataFrame) -> pd.DataFrame:
     """Drop runs with an incomplete vector, which the thesis's code cannot put into an array.
 
@@ -114,7 +110,7 @@ def _sample(df: pd.DataFrame, n: int, malicious_rate: float, seed: int) -> pd.Da
 CORRECTED = MethodVariant(
     name="corrected",
     whole_runs=lambda df: df,
-    columns=_families,
+    columns=lambda df, name: feature_columns(df, ALL_FAMILIES if name == "all" else [name]),
     draw=bootstrap,
     matrix=_scale_rows,
     first_clusters_only=False,

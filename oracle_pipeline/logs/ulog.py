@@ -1,11 +1,27 @@
 """PX4 ULog, by pyulog: each logged uORB topic is a topic."""
 
+import io
 from pathlib import Path
 
 import numpy as np
 from pyulog import ULog
 
 from oracle_pipeline.logs.log import Log, LogError, LogTopic, grouped, numeric, reading
+
+
+class _File(io.FileIO):
+    """A file that ends a parser which reads it for ever, as pyulog does with some damaged ones."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._calls = 1_000 + 3 * path.stat().st_size
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Read, if there are fewer calls so far than three for each byte."""
+        self._calls -= 1
+        if self._calls < 0:
+            raise RuntimeError("its parser comes to no end")
+        return super().read(size)
 
 
 def read_ulog(path: Path) -> Log:
@@ -20,18 +36,17 @@ def read_ulog(path: Path) -> Log:
         If the file is damaged or holds no messages.
     """
     with reading(path, "ULog"):
-        log = ULog(str(path))
-    found = Log([])
-    for data in log.data_list:
-        columns = numeric((name, np.asarray(values)) for name, values in data.data.items())
-        stamps = columns.pop("timestamp", None)
-        if stamps is None or not columns:
-            found.notes.append(f"{data.name} has no numbers or no time and is not used.")
-            continue
-        name = f"/{data.name}" + (f"_{data.multi_id}" if data.multi_id else "")
-        # What was published before the log began is logged as it was at its beginning.
-        times_ns = np.maximum(stamps.astype(np.int64), log.start_timestamp) * 1000
-        found.topics.append(LogTopic(name, times_ns, grouped(columns)))
+        log = ULog(_File(path))
+        found = Log([])
+        for data in log.data_list:
+            columns = numeric((name, np.asarray(values)) for name, values in data.data.items())
+            if (stamps := columns.pop("timestamp", None)) is None or not columns:
+                found.notes.append(f"{data.name} has no numbers or no time and is not used.")
+                continue
+            name = f"/{data.name}" + (f"_{data.multi_id}" if data.multi_id else "")
+            # What was published before the log began is logged as it was at its beginning.
+            times_ns = np.maximum(stamps.astype(np.int64), log.start_timestamp) * 1000
+            found.topics.append(LogTopic(name, times_ns, grouped(columns)))
     if log.file_corruption:
         found.notes.append("The file is damaged; parts of it could not be read.")
     if log.dropouts:

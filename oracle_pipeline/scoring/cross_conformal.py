@@ -36,7 +36,7 @@ from oracle_pipeline.scoring.conformal import ConformalError
 from oracle_pipeline.scoring.lengths import is_outside
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 
-FOLDS = 10
+FOLDS = 10  # at most; never more than there are sessions, or blocks if split by block
 SEED = 0  # of the folds, and of detectors that draw
 MIN_BLOCKS = 3  # two to fit on, one to hold out
 WELL_KNOWN = 200  # features beside which signals count half
@@ -51,8 +51,6 @@ class CrossConformalScorer:
     ----------
     design : Design
         The features and the detector.
-    folds : int
-        Largest number of folds; never more than there are sessions (or blocks, if split by block).
 
     Attributes
     ----------
@@ -76,9 +74,8 @@ class CrossConformalScorer:
         Held-out scores of their windows for alarms; None if windows have no features.
     """
 
-    def __init__(self, design: run_scorer.Design, folds: int = FOLDS) -> None:
+    def __init__(self, design: run_scorer.Design) -> None:
         self.design = design
-        self.folds = folds
 
     def fit(self, runs: MeasuredRuns, rng: np.random.Generator) -> Self:
         """Learn from normal runs.
@@ -100,7 +97,7 @@ class CrossConformalScorer:
         seen = runs.with_columns(self.design.run_columns, self.design.window_columns)
         self.block_ = runs.block
         unit = _split_unit(runs)
-        self.fold_ = assign_folds(unit, self.folds, rng)
+        self.fold_ = assign_folds(unit, FOLDS, rng)
         directions = len(np.unique(unit)) // FOR_DIRECTION
         self.scorers_ = []
         by_level: NDArray[np.float64] | None = None

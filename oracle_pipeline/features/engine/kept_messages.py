@@ -82,7 +82,6 @@ class KeptMessages:
         }
 
     @classmethod
-    @np.errstate(all="ignore")  # recordings hold NaN, infinity and what overflows
     def read(
         cls,
         robot: Robot,

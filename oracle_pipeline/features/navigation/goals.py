@@ -176,11 +176,6 @@ def _keep_log(message: Any) -> list[RootChange] | None:
     return found or None
 
 
-def _keep_tick(messages: Any) -> NDArray[np.float64]:
-    """Return nothing but that there is a message."""
-    return np.zeros(len(messages))
-
-
 def _keep_plans(messages: Any) -> NDArray[np.float64]:
     """Return the lengths of paths [m]."""
     position = messages.poses.pose.position
@@ -195,7 +190,7 @@ def _keep_plans(messages: Any) -> NDArray[np.float64]:
 GOAL_TOPICS = {
     "status": fp.Request(_keep_status, role=GOAL_STATUS, dtype=object, optional=True, carried=True),
     "log": fp.Request(_keep_log, role=BEHAVIOR_TREE, dtype=object, optional=True, carried=True),
-    "ticks": fp.Request(_keep_tick, role=BEHAVIOR_TREE, many=True, optional=True),
+    "ticks": fp.Request(lambda m: np.zeros(len(m)), role=BEHAVIOR_TREE, many=True, optional=True),
 }
 PLANS = fp.Request(_keep_plans, role=PLAN, many=True, carried=True)
 
