@@ -91,7 +91,7 @@ test: $(VENV)/.ready-dev ## Check style and types, and run every test that needs
 	@$(MAKE) --no-print-directory --jobs=2 types test-all
 
 # Tests begin once the style is right; types are checked beside them. A process that dies fails the
-# run: restarted, it makes xdist 3.8 wait for ever (its issue 1378).
+# run: restarted, it makes xdist 3.8 wait without end (its issue 1378).
 .PHONY: test-all
 test-all: lint $(VENV)/.compiled
 	pytest -n 4 --dist loadfile --no-loadscope-reorder --max-worker-restart 0 $(TESTS)

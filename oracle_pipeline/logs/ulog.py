@@ -10,7 +10,7 @@ from oracle_pipeline.logs.log import Log, LogError, LogTopic, grouped, numeric, 
 
 
 class _File(io.FileIO):
-    """A file that ends a parser which reads it for ever, as pyulog does with some damaged ones."""
+    """A file that ends a parser which reads it without end, as pyulog does with some damaged ones."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)

@@ -91,7 +91,7 @@ def test_damaged_log_is_refused_in_one_line_or_read_in_part(kind, tmp_path, capf
         assert capfd.readouterr() == ("", "")
 
 
-def test_a_ulog_that_its_parser_reads_for_ever_is_refused(tmp_path):
+def test_a_ulog_that_its_parser_reads_without_end_is_refused(tmp_path):
     path = samples.SAMPLES["ulog"][0](tmp_path)
     back = b"\x60\xea\x01"  # a message of 60,000 bytes, from whose end pyulog goes back by as many
     path.write_bytes(path.read_bytes()[:16] + b"\0\0I" * 25_000 + back)
