@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from pymavlink.DFReader import DFReader_binary
 
-from oracle_pipeline.logs.log import Log, LogError, LogTopic, numeric, reading
+from oracle_pipeline.logs.log import LATEST_NS, Log, LogError, LogTopic, numeric, reading
 
 _SKIPPED = {"FMT", "FMTU", "UNIT", "MULT", "PARM", "FILE", "MSG"}  # about the log; no signals
 # Fields with the time, and its unit [ns]. In logs of old releases, GPS has it as T, and its TimeMS
@@ -29,22 +29,23 @@ def read_dataflash(path: Path) -> Log:
     """
     rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
     with reading(path, "a DataFlash log"):
-        log = DFReader_binary(str(path), zero_time_base=True)
-        while (message := log.recv_msg()) is not None:
+        for message in iter(DFReader_binary(str(path), zero_time_base=True).recv_msg, None):
             if message.get_type() not in _SKIPPED:
                 fields = message.to_dict()
-                instance = next((fields.pop(key) for key in _INSTANCES if key in fields), None)
-                suffix = "" if instance is None else f"_{instance}"
+                suffix = next((f"_{fields.pop(key)}" for key in _INSTANCES if key in fields), "")
                 rows[f"/{fields.pop('mavpackettype')}{suffix}"].append(fields)
     found = Log([])
     for name, messages in sorted(rows.items()):
-        arrays = ((key, np.array([m.get(key) for m in messages])) for key in messages[0])
-        columns = numeric(arrays)
+        columns = numeric((key, np.array([m.get(key) for m in messages])) for key in messages[0])
         if (time := next((t for t in _TIMES if t in columns), None)) is None or len(columns) == 1:
             found.notes.append(f"{name} has no numbers or no time and is not used.")
             continue
-        times_ns = columns.pop(time).astype(np.int64) * _TIMES[time]
-        found.topics.append(LogTopic(name, times_ns, columns))
+        times = columns.pop(time)
+        known = (times >= 0) & (times < LATEST_NS / _TIMES[time])
+        if lost := int((~known).sum()):
+            found.notes.append(f"{name}: {lost} messages with a damaged time are not used.")
+        kept = {each: values[known] for each, values in columns.items()}
+        found.topics.append(LogTopic(name, times[known].astype(np.int64) * _TIMES[time], kept))
     if not found.topics:
         raise LogError(f"{path} holds no messages.")
     return found

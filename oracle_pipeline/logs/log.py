@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from oracle_pipeline.bags.errors import BagError, one_line, refuse_pointer
 
+LATEST_NS = 2.0**62  # in 2116; a later time is damaged
+
 
 class LogError(BagError):
     """A log cannot be read as it is, or as its layout says."""

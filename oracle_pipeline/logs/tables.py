@@ -22,7 +22,7 @@ from oracle_pipeline.logs.layout import (
     factor,
     find_layout,
 )
-from oracle_pipeline.logs.log import Log, LogError, LogTopic, grouped, reading
+from oracle_pipeline.logs.log import LATEST_NS, Log, LogError, LogTopic, grouped, reading
 from oracle_pipeline.logs.recording import echoed_columns, guessed_type
 
 _TIMES = re.compile(
@@ -45,7 +45,6 @@ _NUMBERS = re.compile(r"[\[(]?\s*-?[\d.].*[\d.]\s*[\])]?")
 _STEPS = (("ns", 2e6), ("us", 2e3), ("ms", 2.0))  # a robot logs more than a row in two seconds
 _FRAMES = {"header.frame_id", "child_frame_id"}  # names, though they may be numbers or blank
 _LABELS = {"label", "labels", "class", "target", "anomaly", "is_anomaly"}  # answers, not signals
-_LATEST_NS = 2.0**62  # in 2116; a later time is damage
 _MOSTLY = 0.9  # of the cells of a column must be numbers, or it counts as text
 
 
@@ -299,7 +298,7 @@ def _times_ns(file: Path, frame: pd.DataFrame, about: TopicLayout) -> NDArray[np
         times = times * (SECONDS[about.time_unit or "s"] * 1e9)
     else:
         times = _clock_ns(file, column)
-    times = np.where(np.abs(times) < _LATEST_NS, times, np.nan)
+    times = np.where(np.abs(times) < LATEST_NS, times, np.nan)
     if not np.isfinite(times).any():
         raise LogError(f"{file}: {about.time_column} holds no time.")
     return np.asarray(times - min(0.0, np.nanmin(times)))  # bags begin in 1970

@@ -10,7 +10,7 @@ from oracle_pipeline.logs.log import Log, LogError, LogTopic, grouped, numeric, 
 
 
 class _File(io.FileIO):
-    """A file that ends a parser which reads it without end, as pyulog does with some damaged ones."""
+    """A file that stops a parser which reads it without end, as pyulog does some damaged ones."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -49,8 +49,7 @@ def read_ulog(path: Path) -> Log:
             found.topics.append(LogTopic(name, times_ns, grouped(columns)))
     if log.file_corruption:
         found.notes.append("The file is damaged; parts of it could not be read.")
-    if log.dropouts:
-        lost = sum(drop.duration for drop in log.dropouts)
+    if lost := sum(drop.duration for drop in log.dropouts):
         found.notes.append(f"Dropouts of the logger: {len(log.dropouts)}, {lost} ms in all.")
     if not found.topics:
         raise LogError(f"{path} holds no messages.")

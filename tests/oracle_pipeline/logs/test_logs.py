@@ -99,6 +99,14 @@ def test_a_ulog_that_its_parser_reads_without_end_is_refused(tmp_path):
         read_log(path)
 
 
+def test_a_message_of_dataflash_with_a_damaged_time_is_left_out(tmp_path):
+    path = samples.SAMPLES["dataflash"][0](tmp_path)
+    path.write_bytes(path.read_bytes()[:-12] + b"\xff" * 8 + bytes(4))  # time and number
+    log = read_log(path)
+    assert len(log.topics[0].times_ns) == samples.COUNT - 1
+    assert log.notes == ["/ATT: 1 messages with a damaged time are not used."]
+
+
 def _counts(path: Path) -> tuple[dict[str, int], str]:
     """Return the number of messages of each topic, or the error."""
     try:
