@@ -82,7 +82,8 @@ def test_damaged_log_is_refused_in_one_line_or_read_in_part(kind, tmp_path, capf
     file = next(path.parent.glob("data/*/*1.parquet")) if kind == "lerobot" else path
     content = file.read_bytes()
     cuts = (content[:size] for size in (20, len(content) // 3, len(content) - 7))
-    for damaged in (*cuts, content.replace(b"o", b"\xed")):  # which is no text
+    no_text = (content.replace(name, b"r\xedll") for name in (b"roll", b"state"))
+    for damaged in (*cuts, *no_text):
         file.write_bytes(damaged)
         counts, refusal = _counts(path)
         assert counts.get(topic, 0) <= samples.COUNT
