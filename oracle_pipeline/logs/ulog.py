@@ -9,11 +9,11 @@ from pyulog import ULog
 from oracle_pipeline.logs.log import Log, LogError, LogTopic, grouped, numeric, reading
 
 
-class _File(io.FileIO):
+class _File(io.BufferedReader):
     """A file that stops a parser which reads it without end, as pyulog does some damaged ones."""
 
     def __init__(self, path: Path) -> None:
-        super().__init__(path)
+        super().__init__(io.FileIO(path))
         self._calls = 1_000 + 3 * path.stat().st_size
 
     def read(self, size: int | None = -1) -> bytes:
@@ -35,8 +35,8 @@ def read_ulog(path: Path) -> Log:
     LogError
         If the file is damaged or holds no messages.
     """
-    with reading(path, "ULog"):
-        log = ULog(_File(path))
+    with reading(path, "ULog"), _File(path) as file:
+        log = ULog(file)
         found = Log([])
         for data in log.data_list:
             columns = numeric((name, np.asarray(values)) for name, values in data.data.items())
