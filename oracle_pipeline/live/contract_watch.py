@@ -157,12 +157,10 @@ class _RobotWatch:
         contract = self._contract
         self._topics |= seen.keys()
         self._graph |= graph
-        # A topic of normal graphs may exist without being recorded.
-        ends = {end for element in contract.ever for end in element.split(" -> ")}
         topics = {
             own: _shown(endpoints, contract.topics.get(own))
             for own, (name, endpoints) in seen.items()
-            if own in contract.topics or f"topic:{name}" not in ends
+            if own in contract.topics or not _is_in(name, contract.ever)
         }
         if now_s < STARTUP_S:
             graph |= contract.always - self._graph
@@ -221,3 +219,8 @@ def _shown(
     types = [endpoint.msgtype for endpoint in publishers]
     foreign = (each for each in types if terms is not None and each not in terms.types)
     return next(foreign, types[0]), qos_words(endpoint.qos for endpoint in publishers), None
+
+
+def _is_in(topic: str, elements: Collection[str]) -> bool:
+    """Return whether a topic is in a graph: it may exist without being recorded."""
+    return any(f"topic:{topic}" in element.split(" -> ") for element in elements)

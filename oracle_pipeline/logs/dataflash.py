@@ -37,7 +37,8 @@ def read_dataflash(path: Path) -> Log:
     found = Log([])
     for name, messages in sorted(rows.items()):
         columns = numeric((key, np.array([m.get(key) for m in messages])) for key in messages[0])
-        if (time := next((t for t in _TIMES if t in columns), None)) is None or len(columns) == 1:
+        time = next((field for field in _TIMES if field in columns), None)
+        if time is None or len(columns) == 1:
             found.notes.append(f"{name} has no numbers or no time and is not used.")
             continue
         times = columns.pop(time)

@@ -19,6 +19,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +28,14 @@ from rosbags.interfaces import Nodetype
 
 from assets.worker.run import process_run
 from assets.worker.run_job import OF_A_RUN, RunJob
-from oracle_pipeline.bags.cdr import DTYPES, ENCAPSULATION
+from oracle_pipeline.bags.cdr import DTYPES, ENCAPSULATION, is_number
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.reader import BagReader, RawMessage
 from oracle_pipeline.bags.run_directory import RunDirectory
 from oracle_pipeline.bags.types import message_class, serialize, typestore
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.checks.run import check_recording
-from oracle_pipeline.features import build_manager, measure
+from oracle_pipeline.features import FeatureManager, build_manager, measure
 from oracle_pipeline.opened_run import open_run
 from sim.campaigns import Campaign
 
@@ -104,27 +105,32 @@ def failures(paths: Sequence[Path], copies: int, seed: int, folder: Path) -> lis
     """Alter copies of recordings, and return what failed."""
     rng, manager, log = np.random.default_rng(seed), build_manager(), _Failures()
     logging.getLogger("oracle_pipeline").addHandler(log)
-    recordings, found = [Recording(path) for path in paths], []
+    recordings, found = [Recording(path) for path in paths], list[str]()
     for copy in range(copies):
         recording, path = recordings[copy % len(recordings)], folder / f"{seed}_{copy}"
         with BagWriter(path) as bag:
             for topic, stamp_ns, data in recording.altered(rng):
                 bag.add_topic(topic, recording.types[topic], [])
                 bag.write(topic, stamp_ns, data)
-        log.records.clear()
-        try:
-            with open_run(path) as run:
-                measure(run, manager)
-            check_recording(path)
-        except OracleError:
-            pass
-        except Exception as error:  # what no user should see
-            found.append(f"{path}: {error!r}")
-        found += [f"{path}: {record.getMessage()}" for record in log.records]
-        if not (found and found[-1].startswith(str(path))):
+        if failed := _failures_of(path, manager, log.records):
+            found += failed
+        else:
             shutil.rmtree(path)
     logging.getLogger("oracle_pipeline").removeHandler(log)
     return found
+
+
+def _failures_of(path: Path, manager: FeatureManager, logged: list[logging.LogRecord]) -> list[str]:
+    logged.clear()
+    raised = []
+    try:
+        with suppress(OracleError):
+            with open_run(path) as run:
+                measure(run, manager)
+            check_recording(path)
+    except Exception as error:  # what no user should see
+        raised.append(repr(error))
+    return [f"{path}: {text}" for text in (*raised, *(each.getMessage() for each in logged))]
 
 
 def write_every_type(folder: Path) -> Iterator[Path]:
@@ -154,8 +160,7 @@ def _filled(desc: Any, number: float) -> Any:
         return DTYPES[detail[0]].type(number if DTYPES[detail[0]].kind == "f" else number > 0.0)
     element, length = detail
     values = [_filled(element, number)] * (length if kind == Nodetype.ARRAY else 3)
-    is_number = element[0] == Nodetype.BASE and element[1][0] in DTYPES
-    return np.array(values, DTYPES[element[1][0]]) if is_number else values
+    return np.array(values, DTYPES[element[1][0]]) if is_number(element) else values
 
 
 def recorded(folder: Path) -> Iterator[Path]:

@@ -162,11 +162,9 @@ class KeptMessages:
 
     def usable(self, plugin: fp.FeaturePlugin, span: Span, common: fp.Window) -> fp.Window:
         """Return the window of a span for one plugin, without the topics that cannot be used."""
-        topics, history = (
-            _Slices(self._kept[plugin.name], part, silent=silent)
-            for part, silent in ((span, False), (Span(0, span.end_ns), True))
-        )
-        return replace(common, topics=topics, history=history)
+        requests = self._kept[plugin.name]
+        history = _Slices(requests, Span(0, span.end_ns), silent=True)
+        return replace(common, topics=_Slices(requests, span, silent=False), history=history)
 
     def _close(self, index: MessageIndex, carried: Carried) -> None:
         """Convert what was kept to arrays by time; note what was not used."""

@@ -113,7 +113,7 @@ def test_a_name_that_is_not_utf_8_is_a_name(tmp_path):
             for bag, frame in ((named, b"base_scan"), (renamed, b"base_sc\xe4n")):
                 bag.add_topic(topic, message.__msgtype__, [])
                 at_ns = START_NS + round(seconds * 1e9)
-                bag.write(topic, at_ns, data.replace(b"base_scan", frame.ljust(9, b"_")))
+                bag.write(topic, at_ns, data.replace(b"base_scan", frame))
     rows = []
     for name in ("named", "renamed"):
         with open_run(tmp_path / name) as run:
