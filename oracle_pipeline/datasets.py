@@ -309,8 +309,7 @@ def table_bytes(df: pd.DataFrame) -> bytes:
     import pyarrow.parquet as pq
 
     fields, signals = field_metadata(df), signal_columns(df)
-    others = df.drop(columns=signals)
-    table = pa.Table.from_pandas(others, preserve_index=False).replace_schema_metadata(None)
+    table = pa.table(dict(df.drop(columns=signals).items()))
     if signals:
         place = df.columns.tolist().index(signals[0])
         column = packed(df[signals].to_numpy(dtype=np.float64))
@@ -419,11 +418,12 @@ def content_hash(df: pd.DataFrame) -> str:
     import pandas as pd
 
     digest = hashlib.sha256()
-    for column in df.columns:
+    is_number = [pd.api.types.is_numeric_dtype(type_) for type_ in df.dtypes]
+    numbers = iter(df.loc[:, is_number].to_numpy(dtype="<f8").T)  # columns one by one are slow
+    for column, is_numeric in zip(df.columns, is_number, strict=True):
         digest.update(json.dumps(str(column)).encode())
-        values = df[column]
-        if pd.api.types.is_numeric_dtype(values):
-            digest.update(np.ascontiguousarray(values.to_numpy(dtype="<f8")).tobytes())
+        if is_numeric:
+            digest.update(next(numbers).tobytes())
         else:
-            digest.update(json.dumps([str(value) for value in values]).encode())
+            digest.update(json.dumps([str(value) for value in df[column]]).encode())
     return digest.hexdigest()
