@@ -7,7 +7,7 @@ the same, after a string or a sequence it differs by message. Only accessed fiel
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,6 +115,16 @@ class Columns:
         value = self._value(node)
         setattr(self, name, value)
         return value
+
+    @property
+    def first_array(self) -> NDArray[np.object_] | None:
+        """The first sequence of floating-point numbers of each message; None without any."""
+        for name, node in self._nodes.items():
+            if isinstance(node, _Numbers) and not node.is_fixed and node.dtype.kind == "f":
+                return cast(NDArray[np.object_], getattr(self, name))
+            if isinstance(node, _Parts) and (found := getattr(self, name).first_array) is not None:
+                return cast(NDArray[np.object_], found)
+        return None
 
     def _value(self, node: _Node) -> Any:
         buffer = self._buffer

@@ -92,7 +92,8 @@ class KeptRows:
             if is_array:
                 self._blocks.append(rows)
             else:
-                self._rows += rows
+                numbers = numbers[[row is not None for row in rows]]
+                self._rows += [row for row in rows if row is not None]
             self._numbers.extend(numbers)
 
     def _rows_of(self, kept: Any, count: int) -> Any:

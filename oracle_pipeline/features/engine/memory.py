@@ -13,7 +13,7 @@ _OBJECT_BYTES = 64  # of a small Python object, and of an array without its numb
 _SAMPLE = 16  # rows of a batch whose sizes are measured
 # As tuples, since a union would be made anew for each message.
 _CONTAINERS = np.ndarray, tuple, list
-_MEASURED = np.ndarray, tuple, float  # kept objects of known size
+_MEASURED = np.ndarray, tuple, float, type(None)  # kept objects of known size
 
 
 class MemoryBudget:
@@ -52,11 +52,16 @@ def size_of_array(rows: NDArray[Any]) -> int:
 
 
 def size_of_rows(kept: Any, messages: Sequence[bytes]) -> int:
-    """Return the approximate size of rows [B], given as columns or one by one."""
+    """Return the approximate size of rows [B], given as columns or one by one.
+
+    Objects of unknown size may hold their messages.
+    """
     if isinstance(kept, tuple):
         return sum(_size_of_column(column) for column in kept)
     step = 1 + len(kept) // _SAMPLE
-    return max(sum(map(len, messages)), step * sum(map(_size, kept[::step])))
+    some = kept[::step]
+    held = 0 if all(isinstance(each, _MEASURED) for each in some) else sum(map(len, messages))
+    return max(held, step * sum(map(_size, some)))
 
 
 def _size_of_column(column: Any) -> int:

@@ -85,8 +85,8 @@ class Request:
     many : bool
         ``keep`` takes many messages at once, as `Columns`, whose fields are arrays with a row for
         each message. It returns an array with a row for each, or a tuple of such columns; with
-        ``dtype=object`` a list is one of rows. Many times faster. If it raises an error, it is
-        called for one message after the other.
+        ``dtype=object`` a list is one of rows, of which None are left out. Many times faster. If
+        it raises an error, it is called for one message after the other.
     name, msgtype : str
         Globs over topic names and message types; a topic must match both. A robot's topics are
         named without its namespace.
@@ -104,7 +104,7 @@ class Request:
         Of each span of this length, counted from the start of the recording, only the first
         message of a topic is taken [s]; 0: all.
     needs_array : bool
-        Only topics whose messages have an array of floating-point numbers (``RawRecord.array``).
+        Only topics whose messages have a `Columns.first_array`.
     carried : bool
         A window of a running robot gets the last rows regardless of their age, such as the goal
         that was accepted minutes ago. Without it, rows are of the last seconds.
@@ -158,11 +158,6 @@ class RawRecord(NamedTuple):
     def header_stamp_ns(self) -> int | None:
         """Stamp in the header [ns]; None if it has no header."""
         return self.layout.header_stamp_ns(self.data)
-
-    @property
-    def array(self) -> NDArray[np.floating[Any]] | None:
-        """Its first array of floating-point numbers; None if it has none."""
-        return self.layout.array(self.data)
 
 
 class TopicArrivals(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.bags.jit import jit, jit_unchecked
-from oracle_pipeline.features.engine.plugin import RawRecord, Request, Series, Window
+from oracle_pipeline.features.engine.plugin import Request, Series, Window
 from oracle_pipeline.features.statistics.reduction import row_medians
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -23,21 +23,22 @@ _BLOCK = 2**16  # numbers per batch
 _SHORTEST, _LONGEST = 16, 2048  # numbers; shorter arrays are channels, not samples of one quantity
 
 
-def _array_of(record: RawRecord) -> NDArray[np.floating[Any]] | None:
-    """Return the array of a message, or the middle of a long one; None if it is too short.
+def _arrays_of(messages: Any) -> list[NDArray[np.floating[Any]] | None]:
+    """Return the array of each message, or the middle of a long one; None if it is too short.
 
-    It is a copy of the same precision as the message, to save memory.
+    They are copies of the same precision as the messages, to save memory.
     """
-    array = record.array
-    if array is None or array.size < _SHORTEST:
-        return None
+    return [_middle(array) if array.size >= _SHORTEST else None for array in messages.first_array]
+
+
+def _middle(array: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
     first = max(0, (array.size - _LONGEST) // 2)
-    return array[first : first + _LONGEST].astype(array.dtype.newbyteorder("="))
+    return array[first : first + _LONGEST].copy()
 
 
 #: Request of plugins that look into arrays: ten messages per second of each topic with arrays.
 ARRAYS = Request(
-    _array_of, dtype=object, optional=True, raw=True, every_s=_EVERY_S, needs_array=True
+    _arrays_of, dtype=object, optional=True, many=True, every_s=_EVERY_S, needs_array=True
 )
 
 
