@@ -82,6 +82,7 @@ class KeptMessages:
         }
 
     @classmethod
+    @np.errstate(all="ignore")  # messages hold NaN and infinity
     def read(
         cls,
         robot: Robot,

@@ -13,7 +13,7 @@ import pytest
 from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.features import build_manager
-from oracle_pipeline.scoring.isolation import Limits, extract_each, isolated_each
+from oracle_pipeline.scoring.isolation import Limits, extract_each, extracted, isolated_each
 from tests.oracle_pipeline.bags.conftest import STRING, text
 
 PLUGIN = """
@@ -43,6 +43,11 @@ def manager_that(what, folder):
     folder.mkdir()
     (folder / "odd.py").write_text(PLUGIN.format(what=what))
     return build_manager(folder)
+
+
+def test_infinite_ranges_give_no_warning_in_this_process_either(recorded_run, recwarn):
+    extracted(recorded_run("fake_object").path)
+    assert not recwarn.list
 
 
 def test_features_are_computed_in_the_other_process(bag, tmp_path):
