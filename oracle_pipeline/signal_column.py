@@ -6,6 +6,7 @@ rows, so the column's metadata hold them once, compressed.
 """
 
 import base64
+import functools
 import json
 import zlib
 from collections.abc import Mapping, Sequence
@@ -64,6 +65,7 @@ def unpacked(column: "pa.Array", metadata: Mapping[bytes, bytes] | None) -> Unpa
     )
 
 
+@functools.lru_cache(maxsize=16)  # most runs of a robot have the same
 def _declarations(blob: bytes) -> dict[str, dict[str, Any]]:
     text = zlib.decompressobj().decompress(base64.b64decode(blob), _LARGEST_NAMES)
     declared = json.loads(text)
