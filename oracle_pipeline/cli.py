@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from oracle_pipeline.bags.errors import OracleError
+from oracle_pipeline.bags.processes import collect_rarely
 from oracle_pipeline.bags.terminal import PlainTextGroup, progress_bar, version_option
 from oracle_pipeline.checks.check_command import check
 from oracle_pipeline.comparison.compare_command import compare
@@ -79,6 +80,7 @@ def main() -> None:
         oracle score tonight/* --reference robot.card --far 0.25
         oracle replay my_robot_bag/
     """  # noqa: D301 -- click reads the control character
+    collect_rarely()
 
 
 for command in (

@@ -15,6 +15,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
+from oracle_pipeline.bags.processes import collect_rarely
+
 _OURS = ("assets", "resources", "sim")
 _ROOT = Path(__file__).parents[1]  # the folder of all our packages
 
@@ -63,6 +65,7 @@ def explain_clashes() -> Iterator[None]:
 
 def _run(place: str) -> None:
     """Run the program at a place, ``module:attribute``."""
+    collect_rarely()
     try:
         with explain_clashes():
             pkgutil.resolve_name(place)()

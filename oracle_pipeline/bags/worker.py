@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import ForkContext, ForkServerContext
 from typing import Any, TypeAlias
 
-from oracle_pipeline.bags.processes import no_program
+from oracle_pipeline.bags.processes import collect_rarely, no_program
 
 Context: TypeAlias = ForkContext | ForkServerContext
 
@@ -107,6 +107,7 @@ class Worker:
 
 def _work(pipe: Connection, prepare: Callable[..., None], arguments: tuple[Any, ...]) -> None:
     """Do jobs until the pipe is closed."""
+    collect_rarely()
     prepare(*arguments)
     while True:
         try:
