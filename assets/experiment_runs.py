@@ -174,7 +174,8 @@ def recorded_runs(
         progress = stack.enter_context(contextlib.closing(RunProgress(len(jobs))))
         if config.refresh or not all(job.directory.is_complete() for job in jobs):
             stack.enter_context(budget.alone(store))
-        for outcome in _outcomes(jobs, store, fleet, budget):
+        together = max(len(partition.runs) for partition in partitions.values())
+        for outcome in _outcomes(jobs, store, fleet, budget, together):
             run = outcome.job.directory
             if outcome.result is not None and not outcome.job.wanted:
                 freed = {"kept": outcome.result.kept, "freed_bytes": outcome.result.freed_bytes}
@@ -210,7 +211,7 @@ def recorded_runs(
 
 
 def _outcomes(
-    jobs: Sequence["RunJob"], store: RunStore, fleet: Fleet, budget: StorageBudget
+    jobs: Sequence["RunJob"], store: RunStore, fleet: Fleet, budget: StorageBudget, together: int
 ) -> Iterator["JobOutcome[RunJob, RunReport]"]:
     """Process the jobs block by block; the storage plan is updated as sizes become known.
 
@@ -227,6 +228,7 @@ def _outcomes(
             [job.directory for job in waiting],
             workers=fleet.workers,
             goals=waiting[0].campaign.goals_per_run,
+            together=together,
         )
         if plan is None:
             yield from fleet.outcomes(process_run, waiting, RUNS_DONE)

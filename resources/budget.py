@@ -26,7 +26,13 @@ class StorageBudget(dg.ConfigurableResource[None]):
     )
 
     def plan(
-        self, store: RunStore, wanted: Sequence[RunDirectory], *, workers: int, goals: int
+        self,
+        store: RunStore,
+        wanted: Sequence[RunDirectory],
+        *,
+        workers: int,
+        goals: int,
+        together: int,
     ) -> StoragePlan | None:
         """Plan how much of each run is kept; None in an object store, which has no limit.
 
@@ -41,7 +47,7 @@ class StorageBudget(dg.ConfigurableResource[None]):
                 return None
             return make_plan(
                 store.path, wanted, budget=budget, reserve=self.reserve_mb * 1_000_000,
-                workers=workers, goals=goals,
+                workers=workers, goals=goals, together=together,
             )  # fmt: skip
 
     @contextlib.contextmanager

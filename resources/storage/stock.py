@@ -13,7 +13,7 @@ from statistics import fmean
 
 from pydantic import ByteSize, TypeAdapter, ValidationError
 
-from oracle_pipeline.bags.layout import owner
+from oracle_pipeline.bags.layout import FEATURES, owner
 from oracle_pipeline.bags.manifest import KEPT, Kept
 from oracle_pipeline.bags.run_directory import BAG_FOLDER, RunDirectory, find_runs
 from resources.storage.plan import Sizes, StorageError, megabytes, plan
@@ -24,6 +24,7 @@ BUDGET_VARIABLE = "ORACLE_STORAGE_BUDGET"
 FIRST_GUESS = Sizes(full=1_500_000, trimmed=1_000_000, recipe=900_000)
 FIRST_GUESS_A_GOAL = Sizes(full=3_000_000, trimmed=1_100_000, recipe=250_000)
 TRIMMED_SHARE = 0.3  # of a bag, until one has been trimmed
+JOINED_SHARE = 0.1  # of the tables of a run, once they are joined with those of a partition
 SAMPLE = 20  # finished runs of a mode to average for the expected size
 AMPLE = 4  # multiple of the expected size; if it fits, no plan is needed
 MARGIN = 0.05  # share of the limit reserved for larger runs and for reports
@@ -34,12 +35,13 @@ class RunBytes:
     """Storage of a finished run [B]."""
 
     bag: int
-    rest: int  # graphs, manifest, picture, features
+    tables: int  # features, unless they are joined with those of other runs
+    rest: int  # graphs, manifest, picture
 
     @property
     def total(self) -> int:
         """All of it."""
-        return self.bag + self.rest
+        return self.bag + self.tables + self.rest
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,18 +106,18 @@ def parse_budget(text: str) -> int | None:
 def take_stock(root: Path) -> Stock:
     """Measure everything below a root in one pass."""
     total = 0
-    bags: defaultdict[tuple[str, str], int] = defaultdict(int)
-    rest: defaultdict[tuple[str, str], int] = defaultdict(int)
+    parts: defaultdict[tuple[str, str], Counter[str]] = defaultdict(Counter)
     for folder, _, names in os.walk(root):
         place = Path(folder).relative_to(root).parts
         for name in names:
             size = _bytes_on_disk(os.path.join(folder, name))  # noqa: PTH118 -- for speed
             total += size
             if (run := owner((*place, name))) is not None:
-                (bags if run.part == BAG_FOLDER else rest)[run.mode, run.run_id] += size
+                parts[run.mode, run.run_id][run.part] += size
     runs = {
-        run: RunBytes(bags[run.mode, run.run_id], rest[run.mode, run.run_id])
+        run: RunBytes(of.pop(BAG_FOLDER, 0), of.pop(FEATURES, 0), of.total())
         for run in find_runs(root)
+        for of in [parts[run.mode, run.run_id]]
     }
     return Stock(total, shutil.disk_usage(root).free, runs)
 
@@ -136,6 +138,7 @@ def make_plan(
     reserve: int,
     workers: int,
     goals: int,
+    together: int = 1,
 ) -> StoragePlan:
     """Plan the storage of requested and finished runs.
 
@@ -153,6 +156,8 @@ def make_plan(
         Number of runs that are simulated at the same time, each with its complete bag.
     goals
         Goals of a run, for a first estimate.
+    together
+        Number of runs of a partition, whose tables are joined once all are finished.
 
     Raises
     ------
@@ -164,10 +169,12 @@ def make_plan(
     limit = capacity if budget is None else min(budget, capacity)
     new = [run for run in wanted if run not in stock.runs]
     guess = Sizes(*(FIRST_GUESS.of(kept) + goals * FIRST_GUESS_A_GOAL.of(kept) for kept in KEPT))
-    expected = {
-        mode: expected_sizes(mode, stock) or guess for mode in sorted({run.mode for run in new})
-    }
+    share = JOINED_SHARE if together > 1 else 1.0
+    modes = sorted({run.mode for run in new})
+    expected = {mode: expected_sizes(mode, stock, share) or guess for mode in modes}
     room, ample_room = _working_rooms(new, expected, workers)
+    tables = [run.tables for run in stock.runs.values() if run.tables] or [0]
+    waiting = round((1.0 - share) * fmean(tables) * min(len(wanted), together * len(modes)))
     needed = sum(expected[run.mode].full for run in new)
     if AMPLE * needed + ample_room <= limit - stock.total:
         blocks = sorted({run.run for run in wanted})
@@ -175,7 +182,7 @@ def make_plan(
             dict.fromkeys(blocks, "full"), expected, (), len(blocks), stock.total, limit
         )
 
-    finished = {run: _possible_sizes(run, stock) for run in stock.runs}
+    finished = {run: _possible_sizes(run, stock, share) for run in stock.runs}
     takes: defaultdict[int, list[Sizes]] = defaultdict(list)
     for run in new:
         takes[run.run].append(expected[run.mode])
@@ -183,7 +190,7 @@ def make_plan(
         takes[run.run].append(sizes)
     others = stock.total - sum(run.total for run in stock.runs.values())
     fewest_finished = _fewest_finished(expected, stock)
-    available = int(limit * (1.0 - MARGIN)) - others
+    available = int(limit * (1.0 - MARGIN)) - others - waiting
     try:
         kept = _fullest(takes, available - ample_room, available - room)
     except StorageError:
@@ -206,11 +213,14 @@ def _fewest_finished(modes: Collection[str], stock: Stock) -> int:
     return min((finished[mode] for mode in modes), default=len(stock.runs))
 
 
-def expected_sizes(mode: str, stock: Stock) -> Sizes | None:
-    """Return the mean size of finished runs of the mode, or else of all modes."""
+def expected_sizes(mode: str, stock: Stock, share: float = 1.0) -> Sizes | None:
+    """Return the mean size of finished runs of the mode, or else of all modes.
+
+    The share is that of their tables which counts.
+    """
     of_mode = [run for run in stock.runs if run.mode == mode] or list(stock.runs)
     sample = of_mode[:: len(of_mode) // SAMPLE + 1]
-    known = [(stock.runs[run].rest, run.readable_manifest()) for run in sample]
+    known = [(_without_bag(stock.runs[run], share), run.readable_manifest()) for run in sample]
     measured = [(rest, manifest.measured) for rest, manifest in known if manifest]
     if not measured:
         return None
@@ -246,12 +256,16 @@ def _fullest(
         return plan(takes, available)
 
 
-def _possible_sizes(run: RunDirectory, stock: Stock) -> tuple[Kept, Sizes]:
+def _without_bag(run: RunBytes, share: float) -> int:
+    return run.rest + round(share * run.tables)
+
+
+def _possible_sizes(run: RunDirectory, stock: Stock, share: float) -> tuple[Kept, Sizes]:
     """Return how much is kept of a finished run, and its sizes if less were kept."""
     from sim.experiments import can_be_rebuilt  # the testbeds: half a second to import
 
-    now = stock.runs[run]
-    fixed = Sizes(now.total, now.total, now.total)
+    now, rest = stock.runs[run], _without_bag(stock.runs[run], share)
+    fixed = Sizes(*[now.bag + rest] * 3)
     if now.bag == 0:
         return "recipe", fixed
     manifest = run.readable_manifest()
@@ -259,7 +273,7 @@ def _possible_sizes(run: RunDirectory, stock: Stock) -> tuple[Kept, Sizes]:
         return "full", fixed
     has = manifest.measured.kept
     trimmed = now.bag if has == "trimmed" else round(TRIMMED_SHARE * now.bag)
-    return has, Sizes(now.total, now.rest + trimmed, now.rest)
+    return has, Sizes(now.bag + rest, rest + trimmed, rest)
 
 
 def storage_of_modes(stock: Stock) -> list[dict[str, str | int]]:

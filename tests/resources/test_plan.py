@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from oracle_pipeline.bags.manifest import KEPT
 from resources.storage.plan import Sizes, StorageError, plan
-from resources.storage.stock import make_plan, parse_budget, take_stock
+from resources.storage.stock import RunBytes, make_plan, parse_budget, take_stock
 from resources.store import RunStore
 
 size = st.integers(0, 1000)
@@ -107,7 +107,7 @@ def test_everything_below_the_root_is_counted_and_each_file_to_its_run(tmp_path:
     assert stock.total == sum(files.values()) * page
     run = RunStore(root=str(tmp_path)).run("a|run000")
     assert list(stock.runs) == [run]
-    assert (stock.runs[run].bag, stock.runs[run].rest) == (2 * page, (1 + 3 + 4 + 5) * page)
+    assert stock.runs[run] == RunBytes(2 * page, (4 + 5) * page, (1 + 3) * page)
 
 
 def test_with_ample_space_everything_is_kept(tmp_path: Path) -> None:

@@ -9,7 +9,8 @@ import pytest
 
 from oracle_pipeline.bags.manifest import Kept
 from oracle_pipeline.bags.run_directory import RunDirectory
-from resources.storage.stock import make_plan, take_stock
+from resources.storage.plan import StorageError
+from resources.storage.stock import StoragePlan, make_plan, take_stock
 from sim.pairs import CONTROL
 from tests.manifests import rewrite
 from tests.recorded_runs import RecordedRuns
@@ -35,7 +36,7 @@ TRIMMED = 0.45
 
 def sized(run: RunDirectory, kept: Kept) -> None:
     """Give a run the sizes that it has if so much of it is kept."""
-    full = BAGS[run.mode][run.run] * MB
+    full = BAGS[run.mode][run.run % BLOCKS] * MB
     bag = round({"full": full, "trimmed": TRIMMED * full, "recipe": 0.0}[kept])
     for part, size in (("bag/bag_0.mcap", bag), ("graphs/run.gexf", round(GRAPHS * full))):
         place = run.path / part
@@ -81,3 +82,28 @@ def test_every_run_is_recorded_within_the_budget(
                 sized(run, plan.kept[run.run])
             assert take_stock(tmp_path).total <= budget * MB
     assert len(take_stock(tmp_path).runs) == BLOCKS * len(BAGS)
+
+
+def test_tables_that_will_be_joined_need_little_storage(
+    recorded_run: RecordedRuns, tmp_path: Path
+) -> None:
+    runs = [RunDirectory(tmp_path, CONTROL, block) for block in range(100)]
+    for run in runs[:4]:
+        run.path.mkdir(parents=True)
+        shutil.copy(recorded_run(CONTROL, 0).manifest_path, run.path)
+        sized(run, "recipe")
+        table = run.feature_table("window")
+        table.parent.mkdir(parents=True, exist_ok=True)
+        table.touch()
+        os.truncate(table, 9 * MB)
+
+    def plan(together: int) -> StoragePlan:
+        return make_plan(
+            tmp_path, runs, budget=600 * MB, reserve=0, workers=1, goals=8, together=together
+        )
+
+    assert set(plan(together=20).kept) == set(range(100))
+    with pytest.raises(StorageError, match="graphs and features alone take 1"):
+        plan(together=1)
+    with pytest.raises(StorageError, match="do not fit"):  # none is joined before the last
+        plan(together=100)
