@@ -26,14 +26,9 @@ class StorageBudget(dg.ConfigurableResource[None]):
     )
 
     def plan(
-        self,
-        store: RunStore,
-        wanted: Sequence[RunDirectory],
-        *,
-        workers: int,
-        goals: int,
+        self, store: RunStore, wanted: Sequence[RunDirectory], *, workers: int, goals: int,
         together: int,
-    ) -> StoragePlan | None:
+    ) -> StoragePlan | None:  # fmt: skip
         """Plan how much of each run is kept; None in an object store, which has no limit.
 
         Raises

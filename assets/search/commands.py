@@ -54,8 +54,9 @@ if TYPE_CHECKING:
 @rate_option("--far", "False positive rate at which the oracle decides.")
 @click.option(
     "--sampler", default="tpe", show_default=True,
-    type=click.Choice(["tpe", "nsga2", "random"]),
-    help="How trials are proposed: by Optuna's TPE or NSGA-II, or at random, for comparison.",
+    type=click.Choice(["tpe", "guided", "random"]),
+    help="How trials are proposed: by Optuna's TPE; by changing what has the largest impact, in "
+    "good ones (guided); or at random, for comparison.",
 )  # fmt: skip
 @click.option(
     "--screen/--no-screen", default=True, show_default=True,

@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from assets.search.closed_loop import Finding
+from assets.search.impact import impacts
 from oracle_pipeline.bags.layout import FINDINGS, FRONT
 from oracle_pipeline.reporting.figures import COLORS, INK, drawing
 from sim.fuzzing.scenario import NO_FILE, Scenario
@@ -16,7 +17,7 @@ from sim.scenarios import builtin_scenarios
 
 PICTURE, MISSES = FRONT, "misses"
 UNALTERED = "unaltered"  # the built-in scenario of normal runs without a node
-_HIGHEST = 8.0  # effects above this are drawn at the edge
+_HIGHEST = 8.0  # effects above this count, and are drawn, as this one
 
 
 def misses(findings: Sequence[Finding]) -> list[Finding]:
@@ -39,9 +40,13 @@ def save(
     have no node, and would differ from normal runs that all have one. So the corpus also has a
     normal scenario without a node.
     """
+    ran = [each for each in findings if not each.screened_out]
     document = {
         "far": far,
         "front": [each.proposal.run for each in front],
+        "impacts": impacts(
+            [each.proposal.values for each in ran], [min(each.effect, _HIGHEST) for each in ran]
+        ),
         "findings": [dataclasses.asdict(each) for each in findings],
     }
     (folder / FINDINGS).write_text(json.dumps(document, indent=1) + "\n", "utf-8")

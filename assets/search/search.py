@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import optuna
-from optuna.samplers import BaseSampler, NSGAIISampler, RandomSampler, TPESampler
+from optuna.samplers import BaseSampler, RandomSampler, TPESampler
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.study import StudyDirection
@@ -25,6 +25,7 @@ from optuna.study import StudyDirection
 from assets.search.attack_space import AttackSpace, SearchError
 from assets.search.closed_loop import ClosedLoop, Finding, Proposal
 from assets.search.composed_attacks import composed_attacks
+from assets.search.impact import ImpactSampler
 from assets.search.oracles import find_oracle
 from assets.search.scenario_parameters import scenario_attacks
 from sim.campaigns import Campaign
@@ -33,12 +34,12 @@ from sim.modes import find_mode
 
 CONTROLS = "controls"  # folder of the runs without an attack, in that of the search
 JOURNAL = "study.journal"
-Sampler: TypeAlias = Literal["tpe", "nsga2", "random"]
+Sampler: TypeAlias = Literal["tpe", "guided", "random"]
 _DIRECTIONS = (StudyDirection.MAXIMIZE, StudyDirection.MINIMIZE)  # of the values of `evasion`
 _ENOUGH = 3.0  # larger effects do not count: a stuck robot is not informative
 _BEYOND_ALL = 1e9
 _FINDING = "finding"
-_FIRST = 6  # random trials before TPE learns
+_FIRST = 6  # random trials before a sampler learns
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,8 +253,8 @@ def _sampler(name: Sampler, seed: int) -> BaseSampler:
         case "tpe":
             warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
             return TPESampler(seed=seed, n_startup_trials=_FIRST, multivariate=True, group=True)
-        case "nsga2":
-            return NSGAIISampler(seed=seed, population_size=20)
+        case "guided":
+            return ImpactSampler(seed, _FIRST)
         case "random":
             return RandomSampler(seed=seed)
 

@@ -74,13 +74,10 @@ class Drive:
     commands_altered: int  # of these, those that it slowed down or stopped
 
 
-CHANGE_BIN_S = 5.0  # length of the bins in which changes are counted [s]
-
-
 class Change(NamedTuple):
     """Changes that the mode's node made in one bin of time, from its log."""
 
-    start_s: float  # a multiple of `CHANGE_BIN_S`
+    start_s: float  # a multiple of 5 s
     messages: int  # changed, dropped, delayed or fabricated
     largest: float | None  # in the unit of what was changed; None: a number was no longer finite
 

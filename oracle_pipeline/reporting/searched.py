@@ -1,7 +1,7 @@
 """The section on searches for attacks: a table of results, and a picture of each Pareto front."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -58,4 +58,11 @@ def _row(folder: Path) -> dict[str, Any]:
         "of these missed by the oracle": len(passed),
         "largest missed effect": max((each["effect"] for each in passed), default=0.0),
         "lowest score with an effect": min((each["score"] for each in effects), default=None),
+        "the effect depends most on": depends_on(document.get("impacts", {})),
     }
+
+
+def depends_on(impacts: Mapping[str, float]) -> str:
+    """Return the parameters with the largest shares of the variance of a result."""
+    first = sorted(impacts, key=lambda name: -impacts[name])[:3]
+    return ", ".join(f"{name} ({impacts[name]:.0%})" for name in first)

@@ -69,11 +69,13 @@ def search(normal_card: Path, prepared: Path) -> Callable[..., Result]:
 
 
 def test_a_search_can_be_resumed(search: Callable[..., Result], tmp_path: Path) -> None:
-    found = []
+    documents = []
     for budget in (1, 2):
         result = search(budget, "--no-screen", "--range", "rate=-0.02:0.02")
         assert result.exit_code == 0, result.output
-        found.append(json.loads((tmp_path / "findings.json").read_text())["findings"])
+        documents.append(json.loads((tmp_path / "findings.json").read_text()))
+    assert "rate" in documents[1]["impacts"]
+    found = [document["findings"] for document in documents]
     assert [len(each) for each in found] == [1, 2]
     assert found[1][:1] == found[0]
     rates = [each["proposal"]["values"]["rate"] for each in found[1]]
@@ -157,7 +159,7 @@ def test_a_search_without_a_template_chooses_topics_and_operators(
         "search", "--topic", "/odom", "--operator", "delay", "--operator", "drift",
         "--reference", str(normal_card), "--budget", "2", "--far", "0.2", "--blocks", "1",
         "--goals", "1",
-        "--workers", "1", "--wiring", "absent", "--sampler", "nsga2", "--out", str(tmp_path),
+        "--workers", "1", "--wiring", "absent", "--sampler", "guided", "--out", str(tmp_path),
     ]  # fmt: skip
     result = CliRunner().invoke(oracle_sim, words)
     assert result.exit_code == 0, result.output
