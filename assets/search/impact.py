@@ -73,7 +73,6 @@ class ImpactSampler(RandomSampler):
         self, study: Study, trial: FrozenTrial, param_name: str, param_distribution: Any
     ) -> Any:
         """Return the kept value of a parameter, or a random one."""
-        kept = self._kept.get(trial.number, {})
-        if param_name in kept:
+        if param_name in (kept := self._kept.get(trial.number, {})):
             return kept[param_name]
         return super().sample_independent(study, trial, param_name, param_distribution)

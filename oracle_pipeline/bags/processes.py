@@ -13,7 +13,7 @@ FINDS_OURS = "oracle_pipeline.programs"
 def collect_rarely() -> None:
     """Let Python look for garbage less often than after every 700 new objects.
 
-    Imports make hundreds of thousands that stay: a sixth of the time of `oracle score`.
+    Imports make hundreds of thousands that stay, among which it found nothing, again and again.
     """
     gc.set_threshold(50_000)
 

@@ -48,7 +48,8 @@ def _row(folder: Path) -> dict[str, Any]:
         ran = [each for each in findings if not each["screened_out"]]
         effects = [each for each in ran if each["effect"] >= 1.0]
         passed = [each for each in effects if each["passed"]]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        most = depends_on(document.get("impacts", {}))
+    except (OSError, ValueError, LookupError, TypeError) as error:
         raise OracleError(f"{path} cannot be read ({error}); search again.") from error
     return {
         "scenario": folder.name,
@@ -58,7 +59,7 @@ def _row(folder: Path) -> dict[str, Any]:
         "of these missed by the oracle": len(passed),
         "largest missed effect": max((each["effect"] for each in passed), default=0.0),
         "lowest score with an effect": min((each["score"] for each in effects), default=None),
-        "the effect depends most on": depends_on(document.get("impacts", {})),
+        "the effect depends most on": most,
     }
 
 

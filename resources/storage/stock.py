@@ -112,13 +112,13 @@ def take_stock(root: Path) -> Stock:
         for name in names:
             size = _bytes_on_disk(os.path.join(folder, name))  # noqa: PTH118 -- for speed
             total += size
-            if (run := owner((*place, name))) is not None:
-                parts[run.mode, run.run_id][run.part] += size
-    runs = {
-        run: RunBytes(of.pop(BAG_FOLDER, 0), of.pop(FEATURES, 0), of.total())
-        for run in find_runs(root)
-        for of in [parts[run.mode, run.run_id]]
-    }
+            if (of := owner((*place, name))) is not None:
+                parts[of.mode, of.run_id][of.part] += size
+    runs = {}
+    for run in find_runs(root):
+        sizes = parts[run.mode, run.run_id]
+        bag, tables = sizes[BAG_FOLDER], sizes[FEATURES]
+        runs[run] = RunBytes(bag, tables, sizes.total() - bag - tables)
     return Stock(total, shutil.disk_usage(root).free, runs)
 
 
@@ -220,11 +220,11 @@ def expected_sizes(mode: str, stock: Stock, share: float = 1.0) -> Sizes | None:
     """
     of_mode = [run for run in stock.runs if run.mode == mode] or list(stock.runs)
     sample = of_mode[:: len(of_mode) // SAMPLE + 1]
-    known = [(_without_bag(stock.runs[run], share), run.readable_manifest()) for run in sample]
-    measured = [(rest, manifest.measured) for rest, manifest in known if manifest]
+    known = [(stock.runs[run], run.readable_manifest()) for run in sample]
+    measured = [(size, manifest.measured) for size, manifest in known if manifest]
     if not measured:
         return None
-    rest = fmean(rest for rest, _ in measured)
+    rest = fmean(size.rest + share * size.tables for size, _ in measured)
     bag = fmean(m.bytes[BAG_FOLDER] + m.freed_bytes for _, m in measured)
     trimmed = [float(m.bytes[BAG_FOLDER]) for _, m in measured if m.kept == "trimmed"]
     smaller = fmean(trimmed) if trimmed else TRIMMED_SHARE * bag
@@ -256,16 +256,14 @@ def _fullest(
         return plan(takes, available)
 
 
-def _without_bag(run: RunBytes, share: float) -> int:
-    return run.rest + round(share * run.tables)
-
-
 def _possible_sizes(run: RunDirectory, stock: Stock, share: float) -> tuple[Kept, Sizes]:
     """Return how much is kept of a finished run, and its sizes if less were kept."""
     from sim.experiments import can_be_rebuilt  # the testbeds: half a second to import
 
-    now, rest = stock.runs[run], _without_bag(stock.runs[run], share)
-    fixed = Sizes(*[now.bag + rest] * 3)
+    now = stock.runs[run]
+    rest = now.rest + round(share * now.tables)
+    whole = now.bag + rest
+    fixed = Sizes(whole, whole, whole)
     if now.bag == 0:
         return "recipe", fixed
     manifest = run.readable_manifest()
@@ -273,7 +271,7 @@ def _possible_sizes(run: RunDirectory, stock: Stock, share: float) -> tuple[Kept
         return "full", fixed
     has = manifest.measured.kept
     trimmed = now.bag if has == "trimmed" else round(TRIMMED_SHARE * now.bag)
-    return has, Sizes(now.bag + rest, rest + trimmed, rest)
+    return has, Sizes(whole, rest + trimmed, rest)
 
 
 def storage_of_modes(stock: Stock) -> list[dict[str, str | int]]:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from oracle_pipeline import features
+from oracle_pipeline.bags.types import typestore
+from oracle_pipeline.bags.writer import BagWriter
 from oracle_pipeline.datasets import feature_dataset, read_table, write_table
 from oracle_pipeline.features import (
     Feature,
@@ -270,6 +272,27 @@ def test_values_that_are_none_are_left_out(many, make_run):
     topics = {"scans": Request(keep, "/scan", many=many, dtype=object)}
     plugin = plugin_of(lambda w: {"value": len(w.topics["scans"]["/scan"].times_s)}, topics=topics)
     assert extract(make_run().path, FeatureManager((plugin,))).run["odd.value"].tolist() == [68.0]
+
+
+@pytest.mark.parametrize("little_endian", [True, False])
+def test_arrays_are_read_in_either_byte_order_and_broken_messages_are_left_out(
+    little_endian, messages, tmp_path
+):
+    seen = []
+    with BagWriter(tmp_path / "bag") as bag:
+        for number in range(21):
+            scan = messages.scan(number, [1.0, np.nan, -3.0, number])
+            data = typestore().serialize_cdr(scan, scan.__msgtype__, little_endian=little_endian)
+            bag.add_topic("/scan", scan.__msgtype__, [])
+            bag.write("/scan", number * 10**9, bytes(data)[: -9 if number == 20 else None])
+    request = Request(lambda m: list(m.first_array), many=True, needs_array=True, dtype=object)
+    plugin = plugin_of(
+        lambda w: seen.append(w.topics["arrays"]["/scan"].values) or {"value": 1.0},
+        topics={"arrays": request},
+    )
+    extract(tmp_path / "bag", FeatureManager((plugin,)))
+    arrays = max(seen, key=len)
+    np.testing.assert_array_equal(np.stack(arrays), [[1.0, np.nan, -3.0, n] for n in range(20)])
 
 
 def test_a_request_can_be_limited_to_topics_with_arrays(make_run):

@@ -24,9 +24,10 @@ def test_without_searches_there_is_no_section(tmp_path: Path) -> None:
     assert searched(tmp_path) is None
 
 
-def test_unreadable_findings_are_an_error_with_the_path(tmp_path: Path) -> None:
+@pytest.mark.parametrize("content", ["{", '{"findings": [], "impacts": [1]}'])
+def test_unreadable_findings_are_an_error_with_the_path(content: str, tmp_path: Path) -> None:
     file = tmp_path / "searches" / "drift" / "findings.json"
     file.parent.mkdir(parents=True)
-    file.write_text("{")
+    file.write_text(content)
     with pytest.raises(OracleError, match="findings.json cannot be read"):
         searched(tmp_path)
