@@ -76,21 +76,20 @@ def run_table(store: RunStore, testbed: str) -> "pd.DataFrame":
     """
     from oracle_pipeline.datasets import read_table, without_empty_families
 
-    place = store.dataset(DATASET)
-    recorded = read_table(place, columns=["mode"])["mode"].unique()
-    of = {mode: testbed_of(mode) for mode in recorded if mode in modes()}
+    df = read_table(store.dataset(DATASET))
+    of = {mode: testbed_of(mode) for mode in df["mode"].unique() if mode in modes()}
     if testbed == AUTO:
         testbed = next((name for name in TESTBEDS if name in of.values()), next(iter(TESTBEDS)))
     require_testbed(testbed)
-    chosen = [mode for mode, its in of.items() if its == testbed]
-    return without_empty_families(read_table(place, rows=("mode", chosen)))
+    return without_empty_families(df[df["mode"].map(of) == testbed].reset_index(drop=True))
 
 
 def windows_of(store: RunStore, df: "pd.DataFrame") -> "pd.DataFrame":
-    """Return the window features of the runs in a table, one row for each window."""
-    from oracle_pipeline.datasets import read_table
+    """Return the window features of the runs in a table, one row for each window, without texts."""
+    from oracle_pipeline.datasets import MISSING, WHERE, read_table
 
-    return read_table(store.dataset(WINDOWS), rows=("run_id", df["run_id"]))
+    place = store.dataset(WINDOWS)
+    return read_table(place, without=[WHERE, MISSING], rows=("run_id", df["run_id"]))
 
 
 def keep(result: "Report", store: RunStore, name: str) -> dg.MaterializeResult[None]:

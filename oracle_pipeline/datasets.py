@@ -15,7 +15,7 @@ import os
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Self
+from typing import TYPE_CHECKING, BinaryIO, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 KEYS = ("run_id", "mode", "label", "block", "session", "world")
 WINDOW_START = "window_start_s"  # further key of window tables [s of the recording]
 WHERE = "where"  # the column with the topic, pair or edge at which a feature was attained
+_GROUP = 4096  # rows that are decoded at once: readers of some rows need less memory
 _SEAL = "oracle.seal"  # key in the metadata of a Parquet schema
 MISSING = "missing"  # the column with the reason why a feature is NaN
 
@@ -41,6 +42,9 @@ MINUS = " minus "  # in the name of a signal that is the difference of two numbe
 LAG = ".lag"  # ends the name of how late the first of the two is
 
 HARD_NEGATIVE = "benign_"  # prefix of the names of modes with a harmless change
+
+
+Rows: TypeAlias = tuple[str, Iterable[str]]  # a column, and the values of the rows to keep
 
 
 class DatasetError(OracleError):
@@ -320,17 +324,14 @@ def table_bytes(df: pd.DataFrame) -> bytes:
     schema = pa.schema([field.with_metadata(fields.get(field.name)) for field in table.schema])
     sealed = table.cast(schema).replace_schema_metadata({_SEAL: seals.BLANK})
     whole = io.BytesIO()
-    pq.write_table(sealed, whole, compression="zstd")
+    pq.write_table(sealed, whole, compression="zstd", row_group_size=_GROUP)
     content = bytearray(whole.getbuffer())
     seals.seal(content)
     return bytes(content)
 
 
 def read_table(
-    path: Path,
-    *,
-    columns: Collection[str] | None = None,
-    rows: tuple[str, Iterable[str]] | None = None,
+    path: Path, *, without: Collection[str] = (), rows: Rows | None = None
 ) -> pd.DataFrame:
     """Read a Parquet table; ``attrs["fields"]`` describes its columns.
 
@@ -338,10 +339,10 @@ def read_table(
     ----------
     path : Path
         Of the file.
-    columns : collection of str, optional
-        Only these; by default all.
-    rows : (str, iterable of str), optional
-        A column, and the values of the rows to keep; by default all.
+    without : collection of str
+        Columns to leave out.
+    rows : Rows, optional
+        Rows to keep; by default all.
 
     Raises
     ------
@@ -349,21 +350,21 @@ def read_table(
         The file is missing, is not Parquet, or was changed after `write_table` wrote it. A table
         from another program has no seal, and is not checked.
     """
+    import pyarrow as pa
+
     try:
         content = path.read_bytes()
     except FileNotFoundError as error:
         raise DatasetError(
             f"There is no table {path}; materialize `feature_dataset`, or check the path."
         ) from error
-    return parse_table(content, str(path), columns=columns, rows=rows)
+    df = parse_table(content, str(path), without=without, rows=rows)
+    pa.default_memory_pool().release_unused()  # which kept twice the size of the table
+    return df
 
 
 def parse_table(
-    content: bytes,
-    name: str,
-    *,
-    columns: Collection[str] | None = None,
-    rows: tuple[str, Iterable[str]] | None = None,
+    content: bytes, name: str, *, without: Collection[str] = (), rows: Rows | None = None
 ) -> pd.DataFrame:
     """Return the table from the bytes that `table_bytes` returned; errors mention `name`.
 
@@ -385,7 +386,8 @@ def parse_table(
         )
     try:
         source = pa.BufferReader(content)
-        table = pq.read_table(source, columns=columns and list(columns), filters=kept)
+        columns = [each for each in pq.read_schema(source).names if each not in without]
+        table = pq.read_table(source, columns=columns, filters=kept)
     except (pa.ArrowException, OSError, ValueError) as error:
         raise DatasetError(
             f"{name} is not a Parquet table ({error}); materialize it again."
@@ -401,13 +403,12 @@ def parse_table(
     if COLUMN in table.column_names:
         place = table.column_names.index(COLUMN)
         try:
-            signals = unpacked(table[COLUMN].combine_chunks(), table.field(COLUMN).metadata)
+            signals = unpacked(table[COLUMN], table.field(COLUMN).metadata)
         except ValueError as error:
             raise DatasetError(f"{name} cannot be read: {error}. Make it again.") from error
         others = table.drop_columns([COLUMN]).replace_schema_metadata(None).to_pandas()
-        of_signals = pd.DataFrame(signals.values, columns=signals.names, index=others.index)
-        parts = [others.iloc[:, :place], of_signals, others.iloc[:, place:]]
-        df = pd.concat(parts, axis=1)
+        of_signals = pd.DataFrame(signals.values, others.index, signals.names, copy=False)
+        df = pd.concat([others.iloc[:, :place], of_signals, others.iloc[:, place:]], axis=1)
         fields |= signals.fields
     else:
         df = table.replace_schema_metadata(None).to_pandas()

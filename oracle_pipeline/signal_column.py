@@ -43,7 +43,7 @@ def named(names: Sequence[str], fields: Mapping[str, Mapping[str, str]]) -> dict
     return {COLUMN: base64.b64encode(zlib.compress(text.encode())).decode()}
 
 
-def unpacked(column: "pa.Array", metadata: Mapping[bytes, bytes] | None) -> Unpacked:
+def unpacked(column: "pa.ChunkedArray", metadata: Mapping[bytes, bytes] | None) -> Unpacked:
     """Return the signals in a column of `packed`, with the metadata of `named`.
 
     Raises
@@ -55,13 +55,14 @@ def unpacked(column: "pa.Array", metadata: Mapping[bytes, bytes] | None) -> Unpa
     if about is None:
         raise ValueError("its signals have no names, as in tables of an older release")
     fields = _declarations(about)
-    rows, values = len(column), column.flatten().to_numpy(zero_copy_only=False)
-    if len(values) != rows * len(fields) or set(column.value_lengths().to_pylist()) - {len(fields)}:
+    lengths = {length for part in column.chunks for length in part.value_lengths().to_pylist()}
+    if lengths - {len(fields)}:
         raise ValueError("rows have different signals")
+    values = np.empty((len(fields), len(column)))  # signal by signal, as pandas keeps them
+    rows = [np.asarray(part.flatten()).reshape(-1, len(fields)) for part in column.chunks]
+    np.concatenate([values.T[:0], *rows], out=values.T)
     return Unpacked(
-        list(fields),
-        {name: field for name, field in fields.items() if field},
-        values.astype(np.float64, copy=False).reshape(rows, len(fields)),
+        list(fields), {name: field for name, field in fields.items() if field}, values.T
     )
 
 

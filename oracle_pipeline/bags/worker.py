@@ -10,6 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import BrokenExecutor
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkContext, ForkServerContext
+from multiprocessing.reduction import ForkingPickler
 from typing import Any, TypeAlias
 
 from oracle_pipeline.bags.processes import collect_rarely, no_program
@@ -68,7 +69,8 @@ class Worker:
             If the process has ended.
         """
         try:
-            self.pipe.send((function, arguments, named))
+            job = ForkingPickler.dumps((function, arguments, named), pickle.HIGHEST_PROTOCOL)
+            self.pipe.send_bytes(job)  # `send` pickles by an older protocol, with one more copy
         except ConnectionError as error:
             raise self._death() from error
 
@@ -118,6 +120,7 @@ def _work(pipe: Connection, prepare: Callable[..., None], arguments: tuple[Any, 
             answer = False, _portable(error)
         else:
             answer = _answer(function, given, named)
+            del function, given, named  # they may be large
         try:
             pipe.send(answer)
         except OSError:

@@ -109,8 +109,6 @@ def card_verdicts(
     each : callable
         Judges the folds, in order.
     """
-    # Copies are of one piece, from which pandas selects rows many times as fast.
-    runs = MeasuredRuns(runs.features.copy(), runs.windows.copy(), runs.run)
     verdicts: list[Verdict | None] = [None] * len(runs.features)
     judge = partial(_judged, runs, folds, observations or {})
     for fold, judged in zip(folds, each(judge, range(len(folds))), strict=True):

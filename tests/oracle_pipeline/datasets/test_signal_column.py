@@ -27,7 +27,8 @@ def test_what_is_packed_is_unpacked(values):
     names = [f"signals./topic/field[{n}].mean" for n in range(values.shape[1])]
     fields = {names[0]: {"unit": "m", "floor": "nan"}}
     metadata = {k.encode(): v.encode() for k, v in named(names, fields).items()}
-    found = unpacked(packed(values), metadata)
+    parts = [packed(part) for part in (values[:1], values[1:])]
+    found = unpacked(pa.chunked_array(parts), metadata)
     assert found.names == names
     assert found.fields == fields
     np.testing.assert_array_equal(found.values, values)
