@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 KEYS = ("run_id", "mode", "label", "block", "session", "world")
 WINDOW_START = "window_start_s"  # further key of window tables [s of the recording]
 WHERE = "where"  # the column with the topic, pair or edge at which a feature was attained
-_GROUP = 4096  # rows that are decoded at once: readers of some rows need less memory
 _SEAL = "oracle.seal"  # key in the metadata of a Parquet schema
 MISSING = "missing"  # the column with the reason why a feature is NaN
 
@@ -206,7 +205,9 @@ def _joined(
         _check_columns(part, list(features))
     signals = dict.fromkeys(column for part in parts for column in signal_columns(part))
     columns = [*features, *signals]
+    fields = _joined_fields(parts)
     joined = pd.concat(parts, ignore_index=True)
+    parts.clear()  # they take as much memory
     others = [column for column, type_ in joined.dtypes[columns].items() if type_ != np.float64]
     joined = joined.astype(dict.fromkeys(others, np.float64)) if others else joined
     repeated = joined.loc[joined.duplicated(order), "run_id"].unique()
@@ -216,9 +217,9 @@ def _joined(
             f"remove the stale files under features/{kind} and join again."
         )
     joined = joined[[*keys, *columns, WHERE, MISSING]]
-    joined = joined.sort_values(order, kind="stable", ignore_index=True)
-    joined = joined.copy()  # in one piece, not in thousands, each to be selected alone
-    joined.attrs["fields"] = _joined_fields(parts)
+    # The copy is in one piece, not in thousands, each to be selected alone.
+    joined = joined.sort_values(order, kind="stable", ignore_index=True).copy()
+    joined.attrs["fields"] = fields
     return joined
 
 
@@ -324,7 +325,8 @@ def table_bytes(df: pd.DataFrame) -> bytes:
     schema = pa.schema([field.with_metadata(fields.get(field.name)) for field in table.schema])
     sealed = table.cast(schema).replace_schema_metadata({_SEAL: seals.BLANK})
     whole = io.BytesIO()
-    pq.write_table(sealed, whole, compression="zstd", row_group_size=_GROUP)
+    # Groups are decoded one at a time, so that readers of some rows need less memory.
+    pq.write_table(sealed, whole, compression="zstd", row_group_size=4096)
     content = bytearray(whole.getbuffer())
     seals.seal(content)
     return bytes(content)
