@@ -123,14 +123,9 @@ def _choices(roles: Path | None) -> "RoleChoices | None":
 @plugins_option
 @_strict
 def features(
-    recordings: tuple[Path, ...],
-    table: str,
-    file_format: str | None,
-    output: Path | None,
-    roles: str | None,
-    plugins: Path | None,
-    strict: bool,
-) -> None:
+    recordings: tuple[Path, ...], table: str, file_format: str | None, output: Path | None,
+    roles: str | None, plugins: Path | None, strict: bool,
+) -> None:  # fmt: skip
     """Compute the features of recordings, a row for each.
 
     RUN_OR_BAG is a run directory, the folder of a rosbag2 (SQLite or MCAP, split or compressed), a
@@ -393,13 +388,9 @@ def mcp(folder: Path) -> None:
 @_roles
 @plugins_option
 def learn(
-    good: tuple[Path, ...],
-    output: Path,
-    contract: Path | None,
-    detector: str,
-    roles: Path | None,
+    good: tuple[Path, ...], output: Path, contract: Path | None, detector: str, roles: Path | None,
     plugins: Path | None,
-) -> None:
+) -> None:  # fmt: skip
     """Write a reference card from normal recordings.
 
     GOOD is a run directory, a bag, a folder of these, a table of run features, or a root with

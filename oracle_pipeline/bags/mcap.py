@@ -205,11 +205,6 @@ class McapPart(part.FilePart):
             return b"", f"the chunk at byte {at} {what}"
         raise self._corrupt(f"the chunk at byte {at} {what}")
 
-    def _stop(self, at: int, reason: str) -> None:
-        if not self._is_cut:
-            raise self._corrupt(reason)
-        self.cut, self.unread = reason, self._size - at
-
     def _corrupt(self, what: str) -> BagError:
         return BagError(
             f"{self.path} is corrupt: {what}. Copy it again, or see what `mcap recover` saves."

@@ -105,7 +105,7 @@ class FilePart:
         self.path = path
         self.channels: dict[int, Channel] = {}
         self.extent, self.claims = Extent(), True
-        self.cut, self.unread = "", 0
+        self.cut, self.unread, self._is_cut = "", 0, False
         self._file: BinaryIO = file.open("rb")
         try:
             self._size = self._end = self._file.seek(0, 2)
@@ -121,6 +121,16 @@ class FilePart:
     def _read_contents(self) -> None:
         """Read channels and extent."""
         raise NotImplementedError
+
+    def _corrupt(self, what: str) -> BagError:
+        """Return the error of a damaged file, with what to do next."""
+        raise NotImplementedError
+
+    def _stop(self, at: int, reason: str) -> None:
+        """End reading at a byte: what follows is lost in a truncated file, and otherwise damage."""
+        if not self._is_cut:
+            raise self._corrupt(reason)
+        self.cut, self.unread = reason, self._size - at
 
 
 def written_size(file: BinaryIO) -> int:

@@ -98,11 +98,6 @@ class Rosbag1Part(part.FilePart):
             raise self._corrupt(f"{where} does not have the declared size of {declared} bytes")
         return data[: complete_size(ros1_records(data))], f"{where} is incomplete"
 
-    def _stop(self, at: int, reason: str) -> None:
-        if not self._is_cut:
-            raise self._corrupt(reason)
-        self.cut, self.unread = reason, self._size - at
-
     def _corrupt(self, what: str) -> BagError:
         return BagError(f"{self.path} is corrupt: {what}. Copy it again, or see `rosbag fix`.")
 

@@ -17,13 +17,9 @@ from oracle_pipeline.options import format_option, output_option, recordings_arg
 @click.option("--strict", is_flag=True, help="Reject recordings that are unfinished.")
 @click.pass_context
 def check(
-    ctx: click.Context,
-    recordings: tuple[Path, ...],
-    file_format: str,
-    junit: Path | None,
-    page: Path | None,
-    strict: bool,
-) -> None:
+    ctx: click.Context, recordings: tuple[Path, ...], file_format: str, junit: Path | None,
+    page: Path | None, strict: bool,
+) -> None:  # fmt: skip
     """Find faults of recordings without a reference.
 
     Exit code 0: no fault; 1: at least one recording has a fault; 2: at least one could not be read.

@@ -25,16 +25,9 @@ from oracle_pipeline.options import format_option, output_option, plugins_option
 @plugins_option
 @click.pass_context
 def compare(
-    ctx: click.Context,
-    first: Path,
-    second: Path,
-    level: float,
-    file_format: str,
-    markdown: bool,
-    links: tuple[str, ...],
-    junit: Path | None,
-    plugins: Path | None,
-) -> None:
+    ctx: click.Context, first: Path, second: Path, level: float, file_format: str, markdown: bool,
+    links: tuple[str, ...], junit: Path | None, plugins: Path | None,
+) -> None:  # fmt: skip
     """Compare two sets of recordings, such as those of two builds.
 
     Exit code 0: no difference; 1: they differ; 2: they could not be compared.

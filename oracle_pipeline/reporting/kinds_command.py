@@ -44,15 +44,9 @@ _requirements = click.option(
 @options.format_option("text", "json", text="Text for reading; one JSON object for programs.")
 @options.plugins_option
 def kinds(
-    recordings: tuple[Path, ...],
-    reference: Path | None,
-    requirements: Path | None,
-    answers: Path | None,
-    questions: int,
-    far: float,
-    file_format: str,
-    plugins: Path | None,
-) -> None:
+    recordings: tuple[Path, ...], reference: Path | None, requirements: Path | None,
+    answers: Path | None, questions: int, far: float, file_format: str, plugins: Path | None,
+) -> None:  # fmt: skip
     """Judge runs by several kinds of oracle, side by side.
 
     The kinds are implicit (crash, abort, silence), specified (formulas of signal temporal logic),

@@ -40,7 +40,6 @@ LONG = 10  # windows of a recording; in a shorter one, signals of the whole show
 FEWEST_IN_RANGE = 10  # recordings; the range of fewer says little of one signal alone
 COMMON_SIGNAL = 0.8  # least share of the rows in which a signal is, to be compared
 OF_SETTING = 0.2  # a signal that changes less in a recording than this, of what these differ by
-MOST_ERROR = 2.0  # spread of what follows a command, minus it, beside its own spread
 FEWEST_BROKEN, COMMONLY_BROKEN = 2, 0.1  # recordings, and their share, with a term that is unsteady
 WINDOWS_UNKNOWN = (
     "The reference has no features of windows, so only whole recordings are compared: a short "
@@ -243,7 +242,7 @@ def _follows_nothing(table: pd.DataFrame, difference: str) -> bool:
     if not all(spread in table for spread in spreads):  # a field of a table may have such a name
         return False
     of_error, of_number = (np.median(np.nan_to_num(table[spread])) for spread in spreads)
-    return bool(of_error > MOST_ERROR * of_number)
+    return bool(of_error >= of_number)
 
 
 def _is_level_of(settings: Collection[str], column: str) -> bool:

@@ -51,17 +51,10 @@ from sim.testbeds import TESTBEDS, testbed_of, which_testbed
 @batch.workers_option
 @batch.refresh_option
 def grid(
-    scenario: str | None,
-    all_attacks: bool,
-    texts: tuple[str, ...],
-    blocks: int,
-    controls: Path | None,
-    out: Path | None,
-    allow_actuation: bool,
-    workers: int,
-    refresh: bool,
+    scenario: str | None, all_attacks: bool, texts: tuple[str, ...], blocks: int,
+    controls: Path | None, out: Path | None, allow_actuation: bool, workers: int, refresh: bool,
     **options: Any,
-) -> None:
+) -> None:  # fmt: skip
     """Record a scenario at several strengths (a kill matrix).
 
     As in mutation testing, a kill matrix shows for each value of a parameter and each block whether

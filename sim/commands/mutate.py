@@ -49,16 +49,9 @@ from sim.modes import find_mode
     "scenario's source NAME. May be given more than once.")  # fmt: skip
 @allow_actuation_option
 def mutate(
-    bag_in: Path,
-    bag_out: Path,
-    scenario: str | None,
-    like: Path | None,
-    at_s: float | None,
-    seed: int | None,
-    words: tuple[str, ...],
-    topics: tuple[str, ...],
-    allow_actuation: bool,
-) -> None:
+    bag_in: Path, bag_out: Path, scenario: str | None, like: Path | None, at_s: float | None,
+    seed: int | None, words: tuple[str, ...], topics: tuple[str, ...], allow_actuation: bool,
+) -> None:  # fmt: skip
     """Apply a scenario to a recorded bag, without a simulator.
 
     BAG_IN is any rosbag2; a ROS 1 bag must be converted first. BAG_OUT gets all of its topics that

@@ -38,17 +38,9 @@ from sim.testbeds import TESTBEDS, require_testbed, which_testbed
 @batch.workers_option
 @batch.refresh_option
 def record(
-    mode: tuple[str, ...],
-    scenario: str | None,
-    testbed: str | None,
-    allow_actuation: bool,
-    number: int,
-    first_block: int,
-    out: Path,
-    workers: int,
-    refresh: bool,
-    **options: Any,
-) -> None:
+    mode: tuple[str, ...], scenario: str | None, testbed: str | None, allow_actuation: bool,
+    number: int, first_block: int, out: Path, workers: int, refresh: bool, **options: Any,
+) -> None:  # fmt: skip
     """Record runs of some modes, of a scenario, or of a testbed.
 
     Run i of every mode has the same start, goals and session (block i), so runs compare across

@@ -54,15 +54,9 @@ _HELP = "Type `attack NAME` (a mode or a scenario file), `attack off`, or Ctrl-C
 )  # fmt: skip
 @seed_option
 def serve(
-    mode: str,
-    speed: float,
-    domain: int | None,
-    run: int,
-    goals: int,
-    without_node: bool,
-    out: Path | None,
-    seed: int,
-) -> None:
+    mode: str, speed: float, domain: int | None, run: int, goals: int, without_node: bool,
+    out: Path | None, seed: int,
+) -> None:  # fmt: skip
     """Run a testbed on a real DDS domain, in real time.
 
     All topics have their ROS names and QoS profiles, including `/clock`, and `ros_discovery_info`

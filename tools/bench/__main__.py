@@ -19,6 +19,7 @@ from tools.bench import (
     null_model,
     pull_requests,
     scenarios,
+    sensor_faults,
     storage,
     testbed,
 )
@@ -41,6 +42,7 @@ BENCHMARKS = {
     "live": live.rows,
     "null_model": null_model.rows,
     "pull_requests": pull_requests.rows,
+    "sensor_faults": sensor_faults.rows,
 }
 DEFAULT = ("testbed", "scenarios")  # speed, size and memory; the others take longer
 

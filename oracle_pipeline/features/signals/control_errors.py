@@ -93,12 +93,17 @@ def _numbers(signals: Signals, periods: Floats) -> Iterator[_Number]:
 
 def _words(name: str) -> tuple[bool, Words]:
     """Return whether a name is that of a command, and its other words."""
-    words = [word.lower() for word in _WORD.findall(name)]
-    others = tuple(w for w in words if not _is_of(_OF_COMMANDS | _OF_FOLLOWERS, w))
-    return any(_is_of(_OF_COMMANDS, word) for word in words), others
+    words = words_in(name)
+    others = tuple(w for w in words if not is_of(_OF_COMMANDS | _OF_FOLLOWERS, w))
+    return any(is_of(_OF_COMMANDS, word) for word in words), others
 
 
-def _is_of(some: set[str], word: str) -> bool:
+def words_in(name: str) -> list[str]:
+    """Return the words and numbers in a name, in lower case."""
+    return [word.lower() for word in _WORD.findall(name)]
+
+
+def is_of(some: set[str], word: str) -> bool:
     """Return whether a word, or what it is the plural of, is one of some."""
     return word in some or word.removesuffix("s") in some
 

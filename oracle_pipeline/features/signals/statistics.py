@@ -11,6 +11,7 @@ from oracle_pipeline.features.engine.plugin import Feature
 from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.signals.collector import Adjacent, Floats, Signals
 from oracle_pipeline.features.signals.control_errors import control_errors
+from oracle_pipeline.features.signals.rate_errors import rate_errors
 from oracle_pipeline.features.signals.units import period_of
 
 FEWEST = 4  # numbers of a signal that has more than a level
@@ -50,7 +51,7 @@ class SignalTable:
 
     def __init__(self, signals: list[Signals]) -> None:
         prepared = [_as_they_are(each) for each in signals]
-        prepared += control_errors(prepared)
+        prepared += [*control_errors(prepared), *rate_errors(prepared)]
         self._signals = [each for each, _ in prepared]
         self._periods = [periods for _, periods in prepared]
         features = [

@@ -1,0 +1,100 @@
+"""Rate errors: a rate in a message, minus the rate at which the number beside it changes.
+
+Joints tell a position and a velocity, vehicles a place and a speed. A sensor that is off, noisy or
+badly scaled, and a message of which one field was altered, change each of them little beside what
+differs with the task, and much in how they agree. A rate is known by its name: ``velocity[0]``
+beside ``position[0]``, ``vx`` beside ``x``, or ``angular_velocity.z`` beside ``orientation.yaw``.
+"""
+
+import math
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from oracle_pipeline.datasets import MINUS
+from oracle_pipeline.features.signals.collector import Signals
+from oracle_pipeline.features.signals.control_errors import FEWEST, Prepared, Words, is_of, words_in
+
+SPAN_S = 0.05  # of a difference, at least: messages come with a jitter of milliseconds
+_ORDERS = (
+    {"angle", "attitude", "orientation", "pos", "pose", "position", "q"},
+    {"angular", "qd", "rate", "speed", "twist", "vel", "velocities", "velocity"},
+    {"acc", "accel", "acceleration", "qdd"},
+)  # words of a level, of its rate, and of the rate of that
+_ABOUT = {"x": "roll", "y": "pitch", "z": "yaw"}  # axes of angular rates
+_FUSED = re.compile(r"(?<![a-z])([av]|roll|pitch|yaw)([xyz]|rate|speed)(?![a-z])", re.IGNORECASE)
+_LETTERS = {"a": "acceleration", "v": "velocity"}  # in such names as ax and vx
+
+
+def rate_errors(prepared: Sequence[Prepared]) -> list[Prepared]:
+    """Return rates minus the rates of change of what has the same name in the same messages.
+
+    Parameters
+    ----------
+    prepared : sequence of (Signals, ndarray)
+        The signals of one recording, and the period of each that is an angle, otherwise 0.
+
+    Examples
+    --------
+    >>> times_ns = np.arange(11) * 10**8
+    >>> values = np.column_stack([0.2 * np.arange(11), np.ones(11)])
+    >>> joints = Signals("/joints", ("position[0]", "velocity[0]"), ("", ""), times_ns, values)
+    >>> ((error, _),) = rate_errors([(joints, np.zeros(2))])
+    >>> error.names, error.values[:3].ravel().round(9).tolist()
+    (('velocity[0] minus rate of position[0]',), [-1.0, -1.0, -1.0])
+    """
+    # Where not all messages were read, what lies between them is unknown.
+    whole = [signals for signals, _ in prepared if signals.adjacent is None]
+    return [error for signals in whole for error in _of_topic(signals)]
+
+
+def _of_topic(signals: Signals) -> Iterator[Prepared]:
+    named: dict[tuple[int, Words], list[int]] = defaultdict(list)
+    for column, name in enumerate(signals.names):
+        named[_order_and_path(name)].append(column)
+    for (order, path), rates in named.items():
+        levels = named.get((order - 1, path), [])
+        if len(rates) == len(levels) == 1:
+            yield from _error(signals, rates[0], levels[0])
+
+
+def _order_and_path(name: str) -> tuple[int, Words]:
+    """Return which rate a name tells, 0 for a level, and its other words.
+
+    Examples
+    --------
+    >>> _order_and_path("actual.velocities[3]"), _order_and_path("vx")
+    ((1, ('actual', '3')), (1, ('x',)))
+    >>> _order_and_path("angular_velocity.z"), _order_and_path("orientation.yaw")
+    ((1, ('yaw',)), (0, ('yaw',)))
+    """
+    words = words_in(_FUSED.sub(lambda m: f"{_LETTERS.get(m[1].lower(), m[1])}.{m[2]}", name))
+    orders = [[n for n, some in enumerate(_ORDERS) if is_of(some, word)] for word in words]
+    path = [word for word, of in zip(words, orders, strict=True) if not of]
+    if "angular" in words:
+        path = [_ABOUT.get(word, word) for word in path]
+    return max((n for of in orders for n in of), default=0), tuple(path)
+
+
+def _error(signals: Signals, rate: int, level: int) -> Iterator[Prepared]:
+    """Yield the error over `SPAN_S` or one message, if the numbers tell any."""
+    names = signals.names[rate], signals.names[level]
+    if names[0] == f"{names[1]}.rate":  # of a counter, from which it was computed
+        return
+    known = np.isfinite(signals.values[:, [rate, level]]).all(axis=1)
+    times_ns, values = signals.times_ns[known], signals.values[known]
+    times_s, rates, levels = times_ns * 1e-9, values[:, rate], values[:, level]
+    steps_s = np.diff(times_s)
+    usual_s = float(np.median(steps_s)) if len(steps_s) >= FEWEST else 0.0
+    if usual_s <= 0.0:
+        return
+    count = math.ceil(SPAN_S / usual_s)
+    moved = np.append(0.0, np.cumsum((rates[1:] + rates[:-1]) / 2.0 * steps_s))
+    spans_s, drift = times_s[count:] - times_s[:-count], moved - levels
+    told = spans_s > 0.0
+    errors = (drift[count:] - drift[:-count])[told] / spans_s[told]
+    name, units = f"{names[0]}{MINUS}rate of {names[1]}", (signals.units[rate],)
+    own_ns, numbers = times_ns[count:][told], errors[:, np.newaxis]
+    yield Signals(signals.topic, (name,), units, own_ns, numbers), np.zeros(1)
