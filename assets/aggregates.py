@@ -88,8 +88,7 @@ def windows_of(store: RunStore, df: "pd.DataFrame") -> "pd.DataFrame":
     """Return the window features of the runs in a table, one row for each window, without texts."""
     from oracle_pipeline.datasets import MISSING, WHERE, read_table
 
-    place = store.dataset(WINDOWS)
-    return read_table(place, without=[WHERE, MISSING], rows=("run_id", df["run_id"]))
+    return read_table(store.dataset(WINDOWS), without=[WHERE, MISSING], runs=df["run_id"])
 
 
 def keep(result: "Report", store: RunStore, name: str) -> dg.MaterializeResult[None]:

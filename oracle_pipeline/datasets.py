@@ -15,7 +15,7 @@ import os
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Self, TypeAlias
+from typing import TYPE_CHECKING, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,9 +41,6 @@ MINUS = " minus "  # in the name of a signal that is the difference of two numbe
 LAG = ".lag"  # ends the name of how late the first of the two is
 
 HARD_NEGATIVE = "benign_"  # prefix of the names of modes with a harmless change
-
-
-Rows: TypeAlias = tuple[str, Iterable[str]]  # a column, and the values of the rows to keep
 
 
 class DatasetError(OracleError):
@@ -333,7 +330,7 @@ def table_bytes(df: pd.DataFrame) -> bytes:
 
 
 def read_table(
-    path: Path, *, without: Collection[str] = (), rows: Rows | None = None
+    path: Path, *, without: Collection[str] = (), runs: Iterable[str] | None = None
 ) -> pd.DataFrame:
     """Read a Parquet table; ``attrs["fields"]`` describes its columns.
 
@@ -343,8 +340,8 @@ def read_table(
         Of the file.
     without : collection of str
         Columns to leave out.
-    rows : Rows, optional
-        Rows to keep; by default all.
+    runs : iterable of str, optional
+        Only rows with these ``run_id``; by default all.
 
     Raises
     ------
@@ -360,13 +357,13 @@ def read_table(
         raise DatasetError(
             f"There is no table {path}; materialize `feature_dataset`, or check the path."
         ) from error
-    df = parse_table(content, str(path), without=without, rows=rows)
+    df = parse_table(content, str(path), without=without, runs=runs)
     pa.default_memory_pool().release_unused()  # which kept twice the size of the table
     return df
 
 
 def parse_table(
-    content: bytes, name: str, *, without: Collection[str] = (), rows: Rows | None = None
+    content: bytes, name: str, *, without: Collection[str] = (), runs: Iterable[str] | None = None
 ) -> pd.DataFrame:
     """Return the table from the bytes that `table_bytes` returned; errors mention `name`.
 
@@ -378,9 +375,8 @@ def parse_table(
     import pyarrow.parquet as pq
 
     kept = None
-    if rows is not None:
-        column, values = rows
-        kept = pc.field(column).isin(pa.array(sorted(values), pa.large_string()))
+    if runs is not None:
+        kept = pc.field("run_id").isin(pa.array(sorted(runs), pa.large_string()))
     if seals.check(content) == "wrong":
         raise DatasetError(
             f"{name} is damaged: it has changed since it was written. Materialize it again. If you "

@@ -95,7 +95,7 @@ def read_tables(runs: Iterable[RunDirectory], table: TableName) -> Iterator["pd.
         place = kept.place(table) if kept else run.feature_table(table)
         keys_of.setdefault(place, []).append(run.key)
     for place, keys in keys_of.items():
-        yield read_table(place, rows=("run_id", keys))
+        yield read_table(place, runs=keys)
 
 
 def keep_tables(run: RunDirectory, inputs: str, figures: Mapping[TableName, Any]) -> None:

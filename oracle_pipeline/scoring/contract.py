@@ -374,18 +374,8 @@ class Contract:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contract as JSON-compatible values."""
-        return {
-            "topics": {name: asdict(terms) for name, terms in self.topics.items()},
-            "always": sorted(self.always),
-            "ever": sorted(self.ever),
-            "paces": self.paces,
-            "constants": self.constants,
-            "relays": self.relays,
-            "roles": self.roles,
-            "steady_clock": self.steady_clock,
-            "unsteady": sorted(self.unsteady),
-            "robots": self.robots,
-        }
+        document = asdict(self)
+        return document | {key: sorted(document[key]) for key in ("always", "ever", "unsteady")}
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:

@@ -40,6 +40,7 @@ class Signals(NamedTuple):
     times_ns: NDArray[np.int64]  # ascending, since the start of the recording
     values: Floats  # shape (n, n_names)
     adjacent: Adjacent = None
+    stamps_s: Floats | None = None  # of the messages' headers, if they have any
 
 
 class _Topic:
@@ -211,7 +212,9 @@ def _joined(parts: list[Numbers]) -> Iterator[Numbers]:
         units = tuple(some[0].units[column] for column in columns[0])
         rows = np.concatenate([part.rows for part in some])
         values = [part.values[:, taken] for part, taken in zip(some, columns, strict=True)]
-        yield Numbers(tuple(names), units, rows, np.concatenate(values))
+        stamps = [part.stamps_s for part in some if part.stamps_s is not None]
+        stamps_s = np.concatenate(stamps) if len(stamps) == len(some) else None
+        yield Numbers(tuple(names), units, rows, np.concatenate(values), stamps_s)
 
 
 def _periods(topic: str, times_ns: NDArray[np.int64]) -> Signals:
@@ -231,4 +234,7 @@ def _in_time(topic: str, numbers: Numbers, times_ns: NDArray[np.int64], most: in
     of_rows = times_ns[numbers.rows]
     order = np.argsort(of_rows, kind="stable")
     names, units = numbers.names[:most], numbers.units[:most]
-    return Signals(topic, names, units, of_rows[order], numbers.values[order, :most])
+    stamps_s = None if numbers.stamps_s is None else numbers.stamps_s[order]
+    return Signals(
+        topic, names, units, of_rows[order], numbers.values[order, :most], stamps_s=stamps_s
+    )

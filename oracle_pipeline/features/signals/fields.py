@@ -24,7 +24,7 @@ from rosbags.typesys.store import Typestore
 
 from oracle_pipeline.bags.terminal import printable
 from oracle_pipeline.features.engine.columns import Columns
-from oracle_pipeline.features.engine.common_fields import frame_names
+from oracle_pipeline.features.engine.common_fields import frame_names, header_stamps_s
 from oracle_pipeline.features.signals.units import UNITS
 
 MOST_ELEMENTS = 64  # of an array without labels whose elements are signals
@@ -34,6 +34,7 @@ _QUATERNION = "geometry_msgs/msg/Quaternion"
 _DURATION = "builtin_interfaces/msg/Duration"
 _LAYOUT = "std_msgs/msg/MultiArrayLayout"
 _POINT_FIELD = "sensor_msgs/msg/PointField"
+_HEADER = ("header", (Nodetype.NAME, "std_msgs/msg/Header"))  # of the whole message
 _SKIPPED = {"builtin_interfaces/msg/Time", "std_msgs/msg/Header", _LAYOUT, _POINT_FIELD}
 _NAME = ("name", (Nodetype.BASE, ("string", 0)))  # of an element, such as a status of diagnostics
 _STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
@@ -53,6 +54,7 @@ class Numbers(NamedTuple):
     units: tuple[str, ...]
     rows: NDArray[np.int64]  # message of each number, ascending
     values: Floats  # shape (n, n_names)
+    stamps_s: Floats | None = None  # of the messages' headers, if they have any
 
 
 def numbers_of(
@@ -74,13 +76,16 @@ def numbers_of(
         Whether transforms never change: only norms are signals, the contract holds the rest.
     """
     fields = list(itertools.islice(_fields(messages, store, msgtype), most))
-    found = [_together(fields, np.arange(len(messages)))] if fields else []
+    stamps_s = header_stamps_s(messages) if _HEADER in store.fielddefs[msgtype][1] else None
+    found = [_together(fields, np.arange(len(messages)), stamps_s)] if fields else []
     return [*found, *_by_label(messages, store, msgtype, most, static)]
 
 
-def _together(fields: Sequence[_Field], rows: NDArray[np.int64]) -> Numbers:
+def _together(
+    fields: Sequence[_Field], rows: NDArray[np.int64], stamps_s: Floats | None = None
+) -> Numbers:
     names, units, values = zip(*fields, strict=True)
-    return Numbers(names, units, rows, np.column_stack(values))
+    return Numbers(names, units, rows, np.column_stack(values), stamps_s)
 
 
 def _fields(

@@ -85,8 +85,9 @@ def _error(signals: Signals, rate: int, level: int) -> Iterator[Prepared]:
         return
     known = np.isfinite(signals.values[:, [rate, level]]).all(axis=1)
     times_ns, values = signals.times_ns[known], signals.values[known]
-    times_s, rates, levels = times_ns * 1e-9, values[:, rate], values[:, level]
-    steps_s = np.diff(times_s)
+    # A loaded machine receives messages late, so their stamps count.
+    times_s = times_ns * 1e-9 if signals.stamps_s is None else signals.stamps_s[known]
+    rates, levels, steps_s = values[:, rate], values[:, level], np.diff(times_s)
     usual_s = float(np.median(steps_s)) if len(steps_s) >= FEWEST else 0.0
     if usual_s <= 0.0:
         return

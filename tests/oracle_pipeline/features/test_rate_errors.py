@@ -7,11 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.api import learn, score
+from oracle_pipeline.bags.types import message_class
 from oracle_pipeline.datasets import MINUS
+from oracle_pipeline.features import build_manager, extract
 from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.signals.collector import Signals
 from oracle_pipeline.features.signals.rate_errors import rate_errors
 from oracle_pipeline.features.signals.statistics import SignalTable
+from oracle_pipeline.opened_run import open_run
 
 COUNT = 400
 HZ = 50
@@ -100,6 +103,24 @@ def test_numbers_that_are_missing_or_come_at_once_leave_finite_errors():
     for errors, _ in rate_errors([(both, np.zeros(2))]):
         assert len(errors.values) == len(errors.times_ns)
         assert np.isfinite(errors.values).all()
+
+
+def test_the_stamps_count_of_messages_that_a_loaded_machine_records_late(bag_of):
+    make = message_class("sensor_msgs/msg/JointState")
+    late_s = np.random.default_rng(5).exponential(5e-3, COUNT)
+
+    def joints(time_s):
+        stamp = message_class("builtin_interfaces/msg/Time")(0, int(time_s * 1e9) % 10**9)
+        stamp.sec = int(time_s)
+        header = message_class("std_msgs/msg/Header")(stamp, "")
+        return make(header, ["elbow"], np.sin([time_s]), np.cos([time_s]), np.zeros(0))
+
+    times = zip(TIMES_S.tolist(), (TIMES_S + late_s).tolist(), strict=True)
+    bag = bag_of([(late, "/joint_states", joints(time_s)) for time_s, late in times])
+    with open_run(bag) as run:
+        found = extract(run, build_manager()).run.iloc[0]
+    error = f"signals./joint_states/velocity[elbow]{MINUS}rate of position[elbow]"
+    assert found[f"{error}.std"] == pytest.approx(0.0, abs=1e-3)
 
 
 def test_where_messages_were_passed_over_there_is_no_error():
