@@ -6,7 +6,6 @@ differs with the task, and much in how they agree. A rate is known by its name: 
 beside ``position[0]``, ``vx`` beside ``x``, or ``angular_velocity.z`` beside ``orientation.yaw``.
 """
 
-import math
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -15,7 +14,7 @@ import numpy as np
 
 from oracle_pipeline.datasets import MINUS
 from oracle_pipeline.features.signals.collector import Signals
-from oracle_pipeline.features.signals.control_errors import FEWEST, Prepared, Words, is_of, words_in
+from oracle_pipeline.features.signals.control_errors import Prepared, Words, is_of, words_in
 
 SPAN_S = 0.05  # of a difference, at least: messages come with a jitter of milliseconds
 _ORDERS = (
@@ -79,7 +78,7 @@ def _order_and_path(name: str) -> tuple[int, Words]:
 
 
 def _error(signals: Signals, rate: int, level: int) -> Iterator[Prepared]:
-    """Yield the error over `SPAN_S` or one message, if the numbers tell any."""
+    """Yield the error since the last message that is at least `SPAN_S` old."""
     names = signals.names[rate], signals.names[level]
     if names[0] == f"{names[1]}.rate":  # of a counter, from which it was computed
         return
@@ -87,15 +86,13 @@ def _error(signals: Signals, rate: int, level: int) -> Iterator[Prepared]:
     times_ns, values = signals.times_ns[known], signals.values[known]
     # A loaded machine receives messages late, so their stamps count.
     times_s = times_ns * 1e-9 if signals.stamps_s is None else signals.stamps_s[known]
-    rates, levels, steps_s = values[:, rate], values[:, level], np.diff(times_s)
-    usual_s = float(np.median(steps_s)) if len(steps_s) >= FEWEST else 0.0
-    if usual_s <= 0.0:
-        return
-    count = math.ceil(SPAN_S / usual_s)
-    moved = np.append(0.0, np.cumsum((rates[1:] + rates[:-1]) / 2.0 * steps_s))
-    spans_s, drift = times_s[count:] - times_s[:-count], moved - levels
-    told = spans_s > 0.0
-    errors = (drift[count:] - drift[:-count])[told] / spans_s[told]
+    rates, levels = values[:, rate], values[:, level]
+    moved = np.cumsum((rates[1:] + rates[:-1]) / 2.0 * np.diff(times_s))
+    drift = np.append(0.0, moved)[: len(levels)] - levels
+    earlier = np.searchsorted(times_s, times_s - SPAN_S, side="right") - 1
+    spans_s = times_s - times_s[earlier]
+    told = (earlier >= 0) & (spans_s > 0.0)
+    errors = (drift - drift[earlier])[told] / spans_s[told]
     name, units = f"{names[0]}{MINUS}rate of {names[1]}", (signals.units[rate],)
-    own_ns, numbers = times_ns[count:][told], errors[:, np.newaxis]
-    yield Signals(signals.topic, (name,), units, own_ns, numbers), np.zeros(1)
+    own = Signals(signals.topic, (name,), units, times_ns[told], errors[:, np.newaxis])
+    yield own, np.zeros(1)
