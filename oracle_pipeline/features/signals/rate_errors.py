@@ -16,7 +16,9 @@ from oracle_pipeline.datasets import MINUS
 from oracle_pipeline.features.signals.collector import Signals
 from oracle_pipeline.features.signals.control_errors import Prepared, Words, is_of, words_in
 
-SPAN_S = 0.05  # of a difference, at least: messages come with a jitter of milliseconds
+# Of a difference, at least: messages come with a jitter of milliseconds. Below 50 ms, so that no
+# rounding error decides how many messages of 5, 10 or 25 ms it spans.
+SPAN_S = 0.049
 _ORDERS = (
     {"angle", "attitude", "orientation", "pos", "pose", "position", "q"},
     {"angular", "qd", "rate", "speed", "twist", "vel", "velocities", "velocity"},
