@@ -384,7 +384,9 @@ def parse_table(
         )
     try:
         source = pa.BufferReader(content)
-        columns = [each for each in pq.read_schema(source).names if each not in without]
+        columns = None
+        if without:
+            columns = [each for each in pq.read_schema(source).names if each not in without]
         table = pq.read_table(source, columns=columns, filters=kept)
     except (pa.ArrowException, OSError, ValueError) as error:
         raise DatasetError(

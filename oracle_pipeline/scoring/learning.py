@@ -235,7 +235,7 @@ def settings_among(runs: pd.DataFrame) -> set[str]:
 
 
 def _follows_nothing(table: pd.DataFrame, difference: str) -> bool:
-    """Return whether a difference from a command varies more than the number itself."""
+    """Return whether a difference varies at least as much as the number it is taken from."""
     signal, number = difference.rpartition(".")[0], difference.partition(datasets.MINUS)[0]
     error = signal.removesuffix(datasets.LAG) if datasets.is_lag(signal) else signal
     spreads = [f"{name}.std" for name in (error, number)]

@@ -8,13 +8,13 @@ beside ``position[0]``, ``vx`` beside ``x``, or ``angular_velocity.z`` beside ``
 
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from oracle_pipeline.datasets import MINUS
 from oracle_pipeline.features.signals.collector import Signals
-from oracle_pipeline.features.signals.control_errors import Prepared, Words, is_of, words_in
+from oracle_pipeline.features.signals.control_errors import Words, is_of, words_in
 
 # Of a difference, at least: messages come with a jitter of milliseconds. Below 50 ms, so that no
 # rounding error decides how many messages of 5, 10 or 25 ms it spans.
@@ -29,36 +29,35 @@ _FUSED = re.compile(r"(?<![a-z])([av]|roll|pitch|yaw)([xyz]|rate|speed)(?![a-z])
 _LETTERS = {"a": "acceleration", "v": "velocity"}  # in such names as ax and vx
 
 
-def rate_errors(prepared: Sequence[Prepared]) -> list[Prepared]:
+def rate_errors(signals: Iterable[Signals]) -> list[Signals]:
     """Return rates minus the rates of change of what has the same name in the same messages.
 
-    Parameters
-    ----------
-    prepared : sequence of (Signals, ndarray)
-        The signals of one recording, and the period of each that is an angle, otherwise 0.
+    Angles are without jumps of a turn.
 
     Examples
     --------
     >>> times_ns = np.arange(11) * 10**8
     >>> values = np.column_stack([0.2 * np.arange(11), np.ones(11)])
     >>> joints = Signals("/joints", ("position[0]", "velocity[0]"), ("", ""), times_ns, values)
-    >>> ((error, _),) = rate_errors([(joints, np.zeros(2))])
+    >>> (error,) = rate_errors([joints])
     >>> error.names, error.values[:3].ravel().round(9).tolist()
     (('velocity[0] minus rate of position[0]',), [-1.0, -1.0, -1.0])
     """
     # Where not all messages were read, what lies between them is unknown.
-    whole = [signals for signals, _ in prepared if signals.adjacent is None]
-    return [error for signals in whole for error in _of_topic(signals)]
+    whole = [each for each in signals if each.adjacent is None]
+    return [error for each in whole for error in _of_topic(each)]
 
 
-def _of_topic(signals: Signals) -> Iterator[Prepared]:
+def _of_topic(signals: Signals) -> Iterator[Signals]:
     named: dict[tuple[int, Words], list[int]] = defaultdict(list)
     for column, name in enumerate(signals.names):
         named[_order_and_path(name)].append(column)
     for (order, path), rates in named.items():
         levels = named.get((order - 1, path), [])
         if len(rates) == len(levels) == 1:
-            yield from _error(signals, rates[0], levels[0])
+            (rate,), (level,) = rates, levels
+            if signals.names[rate] != f"{signals.names[level]}.rate":  # computed, of a counter
+                yield _error(signals, rate, level)
 
 
 def _order_and_path(name: str) -> tuple[int, Words]:
@@ -79,11 +78,8 @@ def _order_and_path(name: str) -> tuple[int, Words]:
     return max((n for of in orders for n in of), default=0), tuple(path)
 
 
-def _error(signals: Signals, rate: int, level: int) -> Iterator[Prepared]:
-    """Yield the error since the last message that is at least `SPAN_S` old."""
-    names = signals.names[rate], signals.names[level]
-    if names[0] == f"{names[1]}.rate":  # of a counter, from which it was computed
-        return
+def _error(signals: Signals, rate: int, level: int) -> Signals:
+    """Return the error since the last message that is at least `SPAN_S` old."""
     known = np.isfinite(signals.values[:, [rate, level]]).all(axis=1)
     times_ns, values = signals.times_ns[known], signals.values[known]
     # A loaded machine receives messages late, so their stamps count.
@@ -95,6 +91,6 @@ def _error(signals: Signals, rate: int, level: int) -> Iterator[Prepared]:
     spans_s = times_s - times_s[earlier]
     told = (earlier >= 0) & (spans_s > 0.0)
     errors = (drift - drift[earlier])[told] / spans_s[told]
-    name, units = f"{names[0]}{MINUS}rate of {names[1]}", (signals.units[rate],)
-    own = Signals(signals.topic, (name,), units, times_ns[told], errors[:, np.newaxis])
-    yield own, np.zeros(1)
+    name = f"{signals.names[rate]}{MINUS}rate of {signals.names[level]}"
+    units = (signals.units[rate],)
+    return Signals(signals.topic, (name,), units, times_ns[told], errors[:, np.newaxis])

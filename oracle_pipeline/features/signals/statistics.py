@@ -51,7 +51,8 @@ class SignalTable:
 
     def __init__(self, signals: list[Signals]) -> None:
         prepared = [_as_they_are(each) for each in signals]
-        prepared += [*control_errors(prepared), *rate_errors(prepared)]
+        of_rates = rate_errors(each for each, _ in prepared)
+        prepared += [*control_errors(prepared), *((each, np.zeros(1)) for each in of_rates)]
         self._signals = [each for each, _ in prepared]
         self._periods = [periods for _, periods in prepared]
         features = [

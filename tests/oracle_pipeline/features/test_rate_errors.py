@@ -29,8 +29,7 @@ def signals(*names, values=None, times_s=TIMES_S, adjacent=None):
 
 
 def named(*names):
-    found = rate_errors([(signals(*names), np.zeros(len(names)))])
-    return {errors.names[0] for errors, _ in found}
+    return {errors.names[0] for errors in rate_errors([signals(*names)])}
 
 
 @pytest.mark.parametrize(
@@ -100,7 +99,7 @@ def test_numbers_that_are_missing_or_come_at_once_leave_finite_errors():
     rate[rng.random(COUNT) < 0.2] = np.inf
     times_s = np.round(TIMES_S, 1)  # five messages at a time
     both = signals("x", "vx", values=(level, rate), times_s=times_s)
-    for errors, _ in rate_errors([(both, np.zeros(2))]):
+    for errors in rate_errors([both]):
         assert len(errors.values) == len(errors.times_ns)
         assert np.isfinite(errors.values).all()
 
@@ -125,7 +124,7 @@ def test_the_stamps_count_of_messages_that_a_loaded_machine_records_late(bag_of)
 
 def test_where_messages_were_passed_over_there_is_no_error():
     passed_over = signals("x", "vx", adjacent=np.arange(COUNT) % 2 == 1)
-    assert not rate_errors([(passed_over, np.zeros(2))])
+    assert not rate_errors([passed_over])
 
 
 def recorded(seed, fault=""):
