@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
+from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.checks.run import fault_sentences
 from oracle_pipeline.comparison.set_comparison import SetComparison, read_sets
 from oracle_pipeline.comparison.set_comparison import compare as compare_sets
@@ -17,6 +18,7 @@ from oracle_pipeline.replay.picture import pictures
 from oracle_pipeline.reporting import verdict_page
 from oracle_pipeline.scoring import judging, output
 from oracle_pipeline.scoring.card import ReferenceCard
+from oracle_pipeline.scoring.conformal import check_rate
 from oracle_pipeline.scoring.isolation import DEFAULT_LIMITS
 from oracle_pipeline.scoring.junit import as_junit
 from oracle_pipeline.scoring.learning import card_source
@@ -124,8 +126,10 @@ def score(
     Raises
     ------
     OracleError
-        The reference cannot be used. A recording that cannot be judged has the outcome ``error``.
+        The reference or the rate cannot be used. A recording that cannot be judged has the outcome
+        ``error``.
     """
+    check_rate(far)
     manager = _manager(plugins)
     cards: judging.CardSource = (
         reference if isinstance(reference, ReferenceCard) else card_source(Path(reference), manager)
@@ -152,15 +156,17 @@ def compare(
     Raises
     ------
     OracleError
-        A set has fewer than two recordings, or no feature that varies.
+        A set has fewer than two recordings, or no feature that varies; or the level is invalid.
     """
+    check_rate(level)
     return compare_sets(*read_sets(Path(first), Path(second), _manager(plugins)), level)
 
 
 def _paths(recordings: Recordings) -> list[Path]:
-    if isinstance(recordings, str | Path):
-        return [Path(recordings)]
-    return [Path(path) for path in recordings]
+    paths = [recordings] if isinstance(recordings, str | Path) else [*recordings]
+    if not paths:
+        raise OracleError("No recording is given; name at least one.")
+    return [Path(path) for path in paths]
 
 
 def _manager(plugins: str | Path | None) -> FeatureManager:

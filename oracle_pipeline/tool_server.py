@@ -66,9 +66,12 @@ class Tools:
 
     def evidence(self, recording: str, reference: str) -> list[dict[str, Any]]:
         """Return what is unusual in a recording, each with a sentence, place, time and size."""
+        found = api.score(recording, reference)
+        if any(verdict.score is None for verdict in found):
+            raise OracleError(str(found))  # no evidence would read as nothing unusual
         return [
             {"robot": verdict.recording, "sentence": printable(sentence(each)), **asdict(each)}
-            for verdict in api.score(recording, reference)
+            for verdict in found
             for each in verdict.evidence
         ]
 

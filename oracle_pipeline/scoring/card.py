@@ -4,8 +4,8 @@ A card is a ZIP of JSON and Parquet: ``card.json`` describes the content, ``runs
 features of the normal recordings, ``models.parquet`` the fitted scorers, ``windows.parquet`` the
 scores of the normal windows. Reading a card executes nothing in it, and the checksums of the ZIP
 reveal damage. A card is read in a process with limits on time and memory, and all its parts are
-checked there, since it may come from any source. A detector that a user
-named is not in the file: it is fitted again.
+checked there, since it may come from any source. A detector that a user named is not in the file:
+it is fitted again.
 """
 
 import hashlib
@@ -55,11 +55,7 @@ _WINDOWS = "windows.parquet"
 _HEADLINE = "all"  # the scorer that makes the verdict
 _OfScorers: TypeAlias = dict[str, list[dict[str, Any]]]  # rows of a table, by scorer
 _OF_WINDOWS = pa.schema(
-    [
-        ("scorer", pa.string()),
-        ("scores", pa.list_(pa.float64())),
-        ("start_s", pa.list_(pa.float64())),
-    ]
+    {"scorer": pa.string(), **dict.fromkeys(("scores", "start_s"), pa.list_(pa.float64()))}
 )
 _OF_DETECTORS = {
     "precision": pa.list_(pa.float32()),
@@ -275,11 +271,9 @@ def _table(archive: zipfile.ZipFile, name: str) -> bytes:
     return content
 
 
-def _parquet(rows: list[dict[str, Any]], schema: pa.Schema | None = None) -> bytes:
-    sink = io.BytesIO()
-    pq.write_table(
-        pa.Table.from_pylist(rows, schema), sink, compression="zstd", use_dictionary=False
-    )
+def _parquet(rows: list[dict[str, Any]], schema: pa.Schema) -> bytes:
+    sink, table = io.BytesIO(), pa.Table.from_pylist(rows, schema)
+    pq.write_table(table, sink, compression="zstd", use_dictionary=False)
     return sink.getvalue()
 
 
@@ -464,7 +458,5 @@ def _whole(runs: pd.DataFrame) -> MeasuredRuns:
 
 def _normal_windows(rows: list[dict[str, Any]], block: NDArray[np.int64]) -> NormalWindows:
     run = np.repeat(np.arange(len(rows)), [len(row["scores"]) for row in rows])
-    scores, start_s = (
-        np.concatenate([row[name] for row in rows]) for name in ("scores", "start_s")
-    )
+    scores, start_s = (np.concatenate([row[of] for row in rows]) for of in ("scores", "start_s"))
     return NormalWindows(scores, start_s, run, block)

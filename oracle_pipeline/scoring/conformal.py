@@ -54,6 +54,14 @@ def p_values(calibration: NDArray[np.float64], scores: NDArray[np.float64]) -> N
     return np.asarray((1.0 + at_least) / (n + 1.0), dtype=np.float64)
 
 
+def check_rate(rate: float) -> None:
+    """Raise a `ConformalError` unless a false positive rate is above 0 and below 1."""
+    if not 0.0 < rate < 1.0:
+        raise ConformalError(
+            f"A false positive rate of {rate:g} is invalid; give one between 0 and 1."
+        )
+
+
 def runs_needed(rate: float) -> int:
     """Return the smallest number of calibration runs that can give a p-value of at most `rate`.
 
@@ -62,10 +70,7 @@ def runs_needed(rate: float) -> int:
     >>> runs_needed(0.05), runs_needed(0.01)
     (19, 99)
     """
-    if not 0.0 < rate < 1.0:
-        raise ConformalError(
-            f"A false positive rate of {rate:g} is invalid; give one between 0 and 1."
-        )
+    check_rate(rate)
     count = int(1.0 / rate)
     return count - 1 if 1.0 / count <= rate else count
 

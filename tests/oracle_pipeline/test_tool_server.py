@@ -67,10 +67,17 @@ def test_nothing_is_written_outside_the_folder_or_with_another_suffix(call, tmp_
 
 
 def test_errors_are_told_in_a_sentence(call, tmp_path):
-    _, (compared, learned) = call(
+    _, (compared, learned, of_none) = call(
         ("compare", {"first": "no/such", "second": "folder"}),
         ("learn", {"good": [str(tmp_path)], "card": "robot.card"}),
+        ("learn", {"good": [], "card": "robot.card"}),
     )
-    for answer in (compared, learned):
+    for answer in (compared, learned, of_none):
         assert answer.is_error
-        assert "no recording" in text(answer) or "no/such" in text(answer)
+        assert "no recording" in text(answer).lower() or "no/such" in text(answer)
+
+
+def test_a_recording_that_is_not_judged_does_not_pass_for_one_without_evidence(call, normal_card):
+    _, (answer,) = call(("evidence", {"recording": "no/such", "reference": str(normal_card)}))
+    assert answer.is_error
+    assert "There is no bag no/such" in text(answer)
