@@ -10,6 +10,7 @@ References
 
 import json
 import queue
+import re
 import struct
 import time
 from collections.abc import Iterable, Mapping
@@ -40,8 +41,9 @@ _TOKENS = "@ros2_lv"
 _PUBLISHER, _SUBSCRIPTION, _NODE = "MP", "MS", "NN"
 _NUMBERS = struct.Struct("<qq")  # of the message, and nanoseconds since 1970
 _GUID = 16  # bytes
-_DEPTH = "42"  # where a token does not say it
+_DEPTH = 42  # where a token does not say it
 _CACHED = 500  # messages of a latched topic, at most
+_NAME = re.compile(r"(/[A-Za-z_]\w*)+", re.ASCII)  # of a topic; `*` would match others
 
 
 def guid_of(token: str) -> bytes:
@@ -102,8 +104,8 @@ class ZenohIntake(Intake):
 
     def subscribe(self, topic: str, msgtype: str, *, reliable: bool, latched: bool) -> None:
         """Subscribe to a topic; what a latched one has sent before comes, too."""
-        if msgtype not in types.typestore().fielddefs:
-            raise OracleError(f"The message type {msgtype} is not known.")
+        if msgtype not in types.typestore().fielddefs or not _NAME.fullmatch(topic):
+            raise OracleError(f"Its message type, {msgtype}, or its name is not known to ROS 2.")
         super().subscribe(topic, msgtype, reliable=reliable, latched=latched)
         key = f"{self._domain}{topic}/{dds_type(msgtype)}/*"  # the last part is a hash of the type
         before = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=_CACHED)
@@ -173,7 +175,7 @@ def _qos(text: str) -> Qos:
     kept, _, depth = history.partition(",")
     return ENTITIES_QOS._replace(
         history=QosHistory.KEEP_ALL if kept == "2" else QosHistory.KEEP_LAST,
-        depth=int(depth or _DEPTH),
+        depth=int(depth[:9]) if depth.isdecimal() else _DEPTH,  # anyone can write a token
         reliability=QosReliability.BEST_EFFORT if reliability == "2" else QosReliability.RELIABLE,
         durability=QosDurability.TRANSIENT_LOCAL if durability == "1" else QosDurability.VOLATILE,
     )

@@ -361,9 +361,7 @@ class Contract:
         """Return the share of a topic's usual messages that the recording lacks."""
         usual_hz = self.topics[name].lowest_hz if name in self.topics else None
         rate_hz = seen.topics[name][2]
-        if usual_hz is None or rate_hz is None:
-            return 0.0
-        return max(0.0, 1.0 - rate_hz / usual_hz)
+        return max(0.0, 1.0 - rate_hz / usual_hz) if usual_hz and rate_hz else 0.0
 
     def _of_graph(self, graph: frozenset[str] | None) -> list[Breach]:
         if graph is None or not self.ever:

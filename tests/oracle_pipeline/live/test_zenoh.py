@@ -62,6 +62,8 @@ def test_topics_of_rmw_zenoh_are_recorded_with_graph_profiles_and_losses(tmp_pat
     endpoint, ended = f"tcp/127.0.0.1:{free_port()}", threading.Event()
     robot = Robot(endpoint)
     robot.declare("ear", "MS", "/words")
+    robot.declare("careless", "MP", "/odd", "2::,ten:,:,:,,")  # anyone can write a token
+    robot.declare("careless", "MP", "/no/name/")
     words, latched = (
         robot.declare("talker", "MP", topic, qos)
         for topic, qos in (("/words", "2::,10:,:,:,,"), ("/map", ":1:,1:,:,:,,"))
@@ -94,7 +96,7 @@ def test_topics_of_rmw_zenoh_are_recorded_with_graph_profiles_and_losses(tmp_pat
     assert set(graph.edges) >= {(talker, topic), (topic, vertex_id("node", "/robot/ear"))}
     with open_run(tmp_path / "today") as run:
         counts = {name: topic.count for name, topic in run.bag.topics.items()}
-        assert counts == {"/words": len(numbers), "/map": 1}
+        assert counts == {"/words": len(numbers), "/map": 1, "/odd": 0}
         assert run.disturbances.lost == {"/words": numbers[-1] - numbers[0] + 1 - len(numbers)}
         (of_words,), (of_map,) = (run.bag.topics[name].qos for name in ("/words", "/map"))
     assert (of_words.reliability, of_words.depth) == (QosReliability.BEST_EFFORT, 10)
