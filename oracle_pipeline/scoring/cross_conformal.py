@@ -39,7 +39,7 @@ from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 FOLDS = 10  # at most; never more than there are sessions, or blocks if split by block
 SEED = 0  # of the folds, and of detectors that draw
 MIN_BLOCKS = 3  # two to fit on, one to hold out
-WELL_KNOWN = 200  # features beside which signals count half
+WELL_KNOWN = 100  # features beside which signals count half; beside twice as many, a ninth
 FOR_DIRECTION = 4  # sessions or blocks for each direction that `LargestGroup` keeps
 _ROUNDING = 1e-9  # spread of scores up to which they count as equal [scales]
 
@@ -120,7 +120,7 @@ class CrossConformalScorer:
         self.spread_ = np.maximum(mad, by_level.std(axis=0))
         self.spread_[self.spread_ < _ROUNDING] = 1.0
         if self.design.uses_features:
-            known = len(self.design.run_features) / WELL_KNOWN
+            known = (len(self.design.run_features) / WELL_KNOWN) ** 3
             self.spread_[np.isin(self.levels_, run_scorer.OF_SIGNALS)] *= 1.0 + known
         centre, quartile = np.quantile(self._combined(by_level), (0.5, 0.75))
         above = MAD_TO_DEVIATION * (quartile - centre)

@@ -71,4 +71,5 @@ def _over_windows(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _mean(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
     """Return the mean of the numbers along an axis, NaN where there is none."""
-    return np.asarray(np.nansum(values, axis=axis) / np.isfinite(values).sum(axis=axis))
+    counts = np.isfinite(values).sum(axis=axis)
+    return np.asarray(np.nansum(values, axis=axis) / np.where(counts, counts, np.nan))

@@ -2,7 +2,7 @@
 
 Pairs of runs are recorded in closed loop. Further attacks are applied to the normal runs while
 their features are extracted. A rung is a set of topics that are left in the bag. Scores are those
-of reference cards of other blocks.
+of reference cards of other blocks. Beside the score stands that of tampering alone.
 ``ORACLE_BENCH_RUNS`` names a folder to keep the runs in, ``ORACLE_BENCH_BLOCKS`` the number of
 blocks.
 """
@@ -25,7 +25,6 @@ from oracle_pipeline.datasets import feature_dataset, is_malicious, window_datas
 from oracle_pipeline.evaluation.card_verdicts import card_folds, card_verdicts
 from oracle_pipeline.evaluation.estimate import Estimate
 from oracle_pipeline.evaluation.metrics import auc
-from oracle_pipeline.scoring.feature_sets import feature_sets
 from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from sim.campaigns import Campaign
 from sim.experiments import recipe_for, record_run
@@ -60,7 +59,6 @@ SEED = 17
 
 _ATTACKED, _SOURCE, _OTHER = "/scan_fakeobject", "/scan_tom", "/scan"
 GOAL = 0.95
-_NEW = ("kinematics", "transforms", "permanence", "noise", "stamps")
 
 
 @dataclass(frozen=True)
@@ -157,12 +155,14 @@ ATTACKS = (
 
 
 def rows() -> Iterator[Row]:
-    """Yield a figure for each attack, and for the fake object against a real one."""
+    """Yield a figure for each attack, and for the fake object against real ones."""
     kept = os.environ.get("ORACLE_BENCH_RUNS")
     blocks = range(int(os.environ.get("ORACLE_BENCH_BLOCKS", BLOCKS)))
     with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor() as pool:
         root = Path(kept or folder)
         list(pool.map(_record, [(root, mode, b) for mode in (CONTROL, FAKE, REAL) for b in blocks]))
+        ways = {b: RunDirectory(root, REAL, b).manifest().outcome for b in blocks}
+        passed = [block for block, outcome in ways.items() if outcome == "succeeded"]
         right: dict[Rung, Tables] = {}
         for number, attack in enumerate(ATTACKS):
             if attack.rung not in right:
@@ -172,7 +172,7 @@ def rows() -> Iterator[Row]:
                     )
                 )
             attacked = Tables.of(pool.map(_attacked, [(root, number, b) for b in blocks]))
-            yield from _figures(attack, right[attack.rung], attacked)
+            yield from _figures(attack, right[attack.rung], attacked, passed)
 
 
 @dataclass(frozen=True)
@@ -220,34 +220,27 @@ def _extract(
         return features.extract(run, features.build_manager())
 
 
-def _figures(attack: Attack, right: Tables, attacked: Tables) -> Iterator[Row]:
+def _figures(
+    attack: Attack, right: Tables, attacked: Tables, passed: Collection[int]
+) -> Iterator[Row]:
+    """Yield the figures of an attack; in some blocks the robot passed the real obstacle."""
     df = feature_dataset([*right.runs, *attacked.runs])
     runs = MeasuredRuns.ordered(df, window_dataset([*right.windows, *attacked.windows]))
-    columns = feature_sets(runs.features)["all"]
-    before = [column for column in columns if column.partition(".")[0] not in _NEW]
-    mode = runs.features["mode"].to_numpy()
-    score, earlier = (_score(runs, without) for without in ((), set(columns).difference(before)))
-    name = f"{attack.rung.name}: {attack.name}"
-    against = {"control": (CONTROL, attack.goal)}
+    judged = card_verdicts(runs, card_folds(runs.features, SEED))
+    score, tampering = (judged.scores(aspect).score for aspect in ("", "tampering"))
+    mode, attacked_run = runs.features["mode"].to_numpy(), is_malicious(runs.features)
+    against = {"control": (mode == CONTROL, attack.goal)}
     if attack.alteration is None:
-        against["real obstacle"] = (REAL, 0.90)
+        is_passed = runs.features["block"].isin(passed).to_numpy()
+        against["real obstacle"] = (mode == REAL, 0.90)
+        against["real obstacle that was passed"] = ((mode == REAL) & is_passed, 0.90)
     for what, (negative, goal) in against.items():
-        two = np.isin(mode, ["attacked", negative])
-        estimate, of_old = (_auc(each[two], runs, two) for each in (score, earlier))
+        two = negative | attacked_run
+        estimate, of_tampering = (_auc(each[two], runs, two) for each in (score, tampering))
         yield Row(
-            f"{name} against {what}", estimate.value, "AUC", goal, False,
-            f"[{estimate.low:.2f}, {estimate.high:.2f}]; without the consistency families {of_old}",
+            f"{attack.rung.name}: {attack.name} against {what}", estimate.value, "AUC", goal, False,
+            f"[{estimate.low:.2f}, {estimate.high:.2f}]; tampering {of_tampering}",
         )  # fmt: skip
-
-
-def _score(runs: MeasuredRuns, without: Collection[str]) -> NDArray[np.float64]:
-    """Return the scores by reference cards that lack some features."""
-    left = MeasuredRuns(
-        runs.features.drop(columns=[*without]),
-        runs.windows.drop(columns=[*without], errors="ignore"),
-        runs.run,
-    )
-    return card_verdicts(left, card_folds(left.features, SEED)).scores().score
 
 
 def _auc(
