@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+from oracle_pipeline.bags.layout import DATASETS, FEATURES, FOREIGN, REPORT, RUNS
 from oracle_pipeline.bags.parts import is_recording
 from oracle_pipeline.bags.run_directory import MANIFEST_FILE, RECORDING_FILE
 from oracle_pipeline.logs.files import LogFormat, episodes, is_dataset, kind_of, tables_in
@@ -42,15 +43,19 @@ def logs_at(path: Path) -> Iterator[Path] | None:
 
 
 def recordings_below(folder: Path) -> Iterator[Path]:
-    """Find the run directories, bags and other logs below a folder, in order."""
+    """Find the run directories, bags and other logs below a folder, in order.
+
+    Tables that the pipeline writes into a root are no logs.
+    """
     is_run = any((folder / name).is_file() for name in (MANIFEST_FILE, RECORDING_FILE))
     if is_run or is_recording(folder):
         yield folder
     elif (logs := logs_at(folder)) is not None:
         yield from logs
     elif folder.is_dir():
+        ours = {FEATURES, DATASETS, REPORT, FOREIGN} if (folder / RUNS).is_dir() else set()
         for entry in sorted(folder.iterdir()):
-            if not entry.name.startswith("."):
+            if not entry.name.startswith(".") and entry.name not in ours:
                 yield from recordings_below(entry)
 
 

@@ -239,16 +239,13 @@ class Contract:
         """Return the contract of one or more normal recordings."""
         names = sorted({name for seen in observations for name in seen.topics})
         graphs = [seen.graph for seen in observations if seen.graph is not None]
+        measured = merged_paces(seen.paces for seen in observations)
         irregular = {name for seen in observations for name in seen.topics.keys() - seen.paces}
         return cls(
             {name: _terms(name, observations) for name in names},
             frozenset.intersection(*graphs) if graphs else frozenset(),
             frozenset().union(*graphs),
-            {
-                name: pace
-                for name, pace in merged_paces(seen.paces for seen in observations).items()
-                if name not in irregular
-            },
+            {name: pace for name, pace in measured.items() if name not in irregular},
             {name: _constants(name, observations) for name in names},
             {name: sources for name in names if (sources := _sources(name, observations))},
             _roles(observations),

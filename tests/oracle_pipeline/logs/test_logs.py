@@ -12,8 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
+from oracle_pipeline.bags import layout
 from oracle_pipeline.bags.errors import BagError, OracleError
 from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.bags.run_directory import MANIFEST_FILE
 from oracle_pipeline.cli import main
 from oracle_pipeline.logs.formats import logs_at, open_as_bag, read_log, recordings_below
 from oracle_pipeline.logs.layout import LAYOUT_FILE, Layout
@@ -488,6 +490,18 @@ def test_table_of_features_is_no_log(tmp_path):
     keys = {"run_id": ["a"], "mode": ["m"], "label": ["normal"], "block": [0], "time": [0.0]}
     pd.DataFrame(keys).to_parquet(tmp_path / "features.parquet")
     assert list(recordings_below(tmp_path)) == []
+
+
+def test_tables_that_the_pipeline_writes_into_a_root_are_no_logs(tmp_path):
+    run = layout.run_folder(tmp_path, "fake_object", "run000")
+    run.mkdir(parents=True)
+    (run / MANIFEST_FILE).touch()
+    part = layout.report_part(tmp_path, "pairwise_report") / "table.parquet"
+    for table in (part, layout.dataset(tmp_path, "truth")):
+        table.parent.mkdir(parents=True)
+        pd.DataFrame({"auc": [0.5, 1.0]}).to_parquet(table)
+    assert list(recordings_below(tmp_path)) == [run]
+    assert list(recordings_below(part.parent)) == [part]  # as anywhere else
 
 
 def test_table_without_time_says_how_to_name_it(tmp_path):
