@@ -47,7 +47,8 @@ def manager_that(what, folder):
 
 def test_infinite_ranges_give_no_warning_in_this_process_either(recorded_run, recwarn):
     extracted(recorded_run("fake_object").path)
-    assert not recwarn.list
+    # Others are of what earlier tests left, when its memory is freed.
+    assert not [str(each.message) for each in recwarn if each.category is RuntimeWarning]
 
 
 def test_features_are_computed_in_the_other_process(bag, tmp_path):
