@@ -384,9 +384,7 @@ def parse_table(
         )
     try:
         source = pa.BufferReader(content)
-        columns = None
-        if without:
-            columns = [each for each in pq.read_schema(source).names if each not in without]
+        columns = [n for n in pq.read_schema(source).names if n not in without] if without else None
         table = pq.read_table(source, columns=columns, filters=kept)
     except (pa.ArrowException, OSError, ValueError) as error:
         raise DatasetError(

@@ -104,8 +104,10 @@ class ZenohIntake(Intake):
 
     def subscribe(self, topic: str, msgtype: str, *, reliable: bool, latched: bool) -> None:
         """Subscribe to a topic; what a latched one has sent before comes, too."""
-        if msgtype not in types.typestore().fielddefs or not _NAME.fullmatch(topic):
-            raise OracleError(f"Its message type, {msgtype}, or its name is not known to ROS 2.")
+        if msgtype not in types.typestore().fielddefs:
+            raise OracleError(f"The message type {msgtype} is not known.")
+        if not _NAME.fullmatch(topic):
+            raise OracleError("Its name is none of ROS 2.")
         super().subscribe(topic, msgtype, reliable=reliable, latched=latched)
         key = f"{self._domain}{topic}/{dds_type(msgtype)}/*"  # the last part is a hash of the type
         before = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=_CACHED)

@@ -4,7 +4,8 @@ Models of other people: legs and a swimmer that move by oscillators, and arms th
 targets, each recording in its own way. Rate errors were devised on the first four; the others are
 held out. They log position, velocity and command of each joint at 50 Hz as CSV. A card of 29 normal
 recordings judges others. In faulty ones, one joint's sensor is off, noisy, badly scaled or stuck,
-from a third of the recording on; the robot is controlled by what it tells. Needs ``pip install --no-deps gymnasium``.
+from a third of the recording on; the robot is controlled by what it tells.
+Needs ``pip install --no-deps gymnasium``.
 """
 
 import importlib.util
