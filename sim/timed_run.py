@@ -32,16 +32,9 @@ class TimedRun(TestbedRun):
     """
 
     def __init__(
-        self,
-        recipe: Recipe,
-        folder: Path,
-        advance: Callable[[int], None] = lambda _: None,
-        *,
-        duration_s: float,
-        settling_s: float = 0.0,
-        session: int,
-        world: str,
-    ) -> None:
+        self, recipe: Recipe, folder: Path, advance: Callable[[int], None] = lambda _: None, *,
+        duration_s: float, settling_s: float = 0.0, session: int, world: str,
+    ) -> None:  # fmt: skip
         super().__init__(recipe, folder)
         activation = self._program.activation
         if activation.after == "goal_accepted" or activation.until_goal is not None:

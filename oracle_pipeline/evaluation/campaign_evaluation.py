@@ -65,17 +65,11 @@ class CampaignEvaluation:
 
 
 def evaluate(
-    features: pd.DataFrame,
-    windows: pd.DataFrame,
-    truth: pd.DataFrame,
-    *,
-    observations: Observations | None = None,
-    graph_differences: Sequence[str] | None = None,
-    grid: MeasuredRuns | None = None,
-    seed: int = SEED,
-    progress: Progress = lambda _: None,
+    features: pd.DataFrame, windows: pd.DataFrame, truth: pd.DataFrame, *,
+    observations: Observations | None = None, graph_differences: Sequence[str] | None = None,
+    grid: MeasuredRuns | None = None, seed: int = SEED, progress: Progress = lambda _: None,
     each: Each = map,
-) -> CampaignEvaluation:
+) -> CampaignEvaluation:  # fmt: skip
     """Evaluate the verdicts of reference cards on runs of other blocks, and compare detectors.
 
     Parameters

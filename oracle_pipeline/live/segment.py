@@ -50,16 +50,10 @@ class Segment:
     """
 
     def __init__(
-        self,
-        start_ns: int,
-        discovery: Discovery,
-        known: Collection[str],
-        judge: JudgeProcess | None,
-        contract: ContractWatch | None,
-        recorder: Recorder | None,
-        report: Callable[[Event], None],
-        turn: Callable[[Recorder, float], Recorder] | None = None,
-    ) -> None:
+        self, start_ns: int, discovery: Discovery, known: Collection[str],
+        judge: JudgeProcess | None, contract: ContractWatch | None, recorder: Recorder | None,
+        report: Callable[[Event], None], turn: Callable[[Recorder, float], Recorder] | None = None,
+    ) -> None:  # fmt: skip
         self.start_ns = start_ns
         self.recorder = recorder
         self.disturbances = Disturbances()

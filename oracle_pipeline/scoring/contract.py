@@ -26,9 +26,9 @@ from oracle_pipeline.graphs.intervals import compose
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.robots.known import Known
 from oracle_pipeline.scoring.constants import LIKE, OR, Samples, is_of_transform, likes
+from oracle_pipeline.scoring.fingerprints import Fingerprints, Relays
 from oracle_pipeline.scoring.pace import FEWEST, SPAN_S, Pace, Stamped, merged_paces, paces
 from oracle_pipeline.scoring.parameters import Parameters
-from oracle_pipeline.scoring.relays import Fingerprints, Relays
 
 STEADY = 1.5  # largest ratio between the rates of normal recordings at which a rate is steady
 MARGIN = 0.05  # relative margin on the rates of normal recordings, and on shares of copies
@@ -39,6 +39,7 @@ FEW = 2  # messages of a relay, or of a steady topic, that may differ beyond the
 COUNT_MARGIN = 0.1  # relative margin on message counts per `SPAN_S`, in addition to 2 messages
 ROUNDED = 1e-3  # relative difference up to which a constant number counts as rounded
 RARE = 0.01  # share of copies up to which all messages of a relay count as filtered
+REPLAYED, REPEATS = 10, 3  # messages in a row, beside so many times as many as usual, are replayed
 _NUMBER = re.compile(r"(?<![\w'])-?\d+(?:\.\d*)?(?:e[+-]?\d+)?(?![\w'])")
 _ROUNDED = "the numbers differ by rounding"
 _FILTERED = "all messages are altered, as a filter does, and the features say how much"
@@ -46,8 +47,9 @@ _UNSTEADY = "normal recordings differ in such terms, too"
 _OTHER_MACHINE = "another machine or a full queue changes a rate as much"
 
 Term: TypeAlias = Literal[
-    "topic", "type", "qos", "rate", "constant", "copies", "clock", "graph", "number", "robots"
-]
+    "topic", "type", "qos", "rate", "constant", "copies", "repeats", "clock", "graph", "number",
+    "robots",
+]  # fmt: skip
 NOTHING: Mapping[str, str] = MappingProxyType({})
 
 # ROS 2 tools append a suffix to some node names that differs between processes.
@@ -106,6 +108,8 @@ class Observation:
         Topic -> field that never changes -> its value as text.
     relays : mapping of str to mapping
         Topic -> source -> how many of the topic's messages are copies of the source's.
+    repeats : mapping of str to int
+        Topic -> length of the longest sequence of messages that came before; most differ.
     losses : tuple of str
         What of the recording could not be read.
     whole : bool
@@ -129,6 +133,7 @@ class Observation:
     paces: Mapping[str, Pace] = field(default_factory=dict)
     constants: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     relays: Relays = field(default_factory=dict)
+    repeats: Mapping[str, int] = field(default_factory=dict)
     whole: bool = True
     losses: tuple[str, ...] = ()
     roles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -155,7 +160,7 @@ class Observer:
     samples : Samples
         Of the messages seen.
     fingerprints : Fingerprints
-        Of the messages seen, to find relays.
+        Of the messages seen, to find relays and repeats.
     """
 
     def __init__(self, bag: BagReader, *, paced: bool = False) -> None:
@@ -184,7 +189,8 @@ class Observer:
         pace_of = paces(self._bag, self._seen)
         return Observation(
             topics, graph if run.intervals else None, pace_of, self.samples.constants(),
-            self.fingerprints.relays(), not run.disturbances.loss(), tuple(run.bag.losses),
+            self.fingerprints.relays(), self.fingerprints.repeats(),
+            not run.disturbances.loss(), tuple(run.bag.losses),
             parameters=self.samples.parameters(),
             entropies=self.samples.entropies() if self._paced else {},
             duration_s=max(duration_s, 1e-9), set_back=clock.set_back,
@@ -208,6 +214,8 @@ class Contract:
         recordings differ.
     relays : dict of str to dict
         Topic -> source -> lowest share of the topic's messages that are copies of the source's.
+    repeats : dict of str to int
+        Topic -> length of the longest sequence of messages that came before in any recording.
     roles : dict of str to tuple of str
         Role -> topics that play it in any recording.
     steady_clock : bool
@@ -228,6 +236,7 @@ class Contract:
     steady_clock: bool = False
     unsteady: frozenset[str] = frozenset()
     robots: int = 1
+    repeats: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def known(self) -> Known:
@@ -251,6 +260,7 @@ class Contract:
             _roles(observations),
             not any(seen.set_back for seen in observations),
             robots=min(seen.robots or 1 for seen in observations),
+            repeats={name: n for name in names if (n := _repeats(name, observations)) is not None},
         )
 
     def breaches(
@@ -281,6 +291,7 @@ class Contract:
                 if kind in terms.types and name in seen.constants:
                     found += self._of_constants(name, seen.constants[name])
                 found += self._of_relay(name, seen) if seen.whole else []
+                found += self._of_repeats(name, seen.repeats.get(name, 0))
         for at_s, back_s in seen.set_back if self.steady_clock else ():
             when = f"The recorder's clock was set back by {back_s:.3g} s at {at_s:.2f} s"
             found.append(Breach("clock", f"{when}; in no normal recording it was.", "clock"))
@@ -343,6 +354,12 @@ class Contract:
                 breach = Breach(name, text, "copies")
                 yield _noted(breach, _FILTERED) if share <= RARE else breach
 
+    def _of_repeats(self, name: str, longest: int) -> Iterable[Breach]:
+        usual = self.repeats.get(name)
+        if usual is not None and longest >= REPLAYED + REPEATS * usual:
+            text = f"repeats {longest} of its messages in a row; in normal recordings at most"
+            yield Breach(name, f"Topic {name} {text} {usual}.", "repeats")
+
     def _is_altered(self, name: str, source: str, seen: Observation) -> bool:
         """Return whether too few messages of a relay are copies of those of its source."""
         usual = self.relays.get(name, {}).get(source)
@@ -391,6 +408,7 @@ class Contract:
             document["steady_clock"],
             frozenset(document.get("unsteady", ())),  # cards of 0.3.0 have neither
             document.get("robots", 1),
+            document.get("repeats", {}),
         )
 
 
@@ -451,6 +469,14 @@ def _sources(name: str, observations: Iterable[Observation]) -> dict[str, float]
     sources = [source for source in seen[0] if all(source in each for each in seen)]
     lowest = {source: min(each[source].share for each in seen) for source in sources}
     return {source: share for source, share in lowest.items() if share >= MOSTLY}
+
+
+def _repeats(name: str, observations: Sequence[Observation]) -> int | None:
+    """Return the most messages that a topic repeats in a row; None where too few differ."""
+    seen = [of.repeats.get(name) for of in observations if name in of.topics]
+    known = [longest for longest in seen if longest is not None]
+    is_known = FEWEST_RECORDINGS <= len(known) == len(seen)
+    return max(known) if is_known else None
 
 
 def _roles(observations: Iterable[Observation]) -> dict[str, tuple[str, ...]]:

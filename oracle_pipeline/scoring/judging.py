@@ -91,18 +91,11 @@ class CardSource(Protocol):
 
 
 def score(
-    recordings: Sequence[Path],
-    reference: CardSource,
-    manager: FeatureManager,
-    far: float,
-    limits: isolation.Limits = isolation.DEFAULT_LIMITS,
-    *,
-    strict: bool = False,
-    choices: RoleChoices | None = None,
-    hold_to_contract: bool = True,
-    together: bool = False,
+    recordings: Sequence[Path], reference: CardSource, manager: FeatureManager, far: float,
+    limits: isolation.Limits = isolation.DEFAULT_LIMITS, *, strict: bool = False,
+    choices: RoleChoices | None = None, hold_to_contract: bool = True, together: bool = False,
     check: isolation.Check | None = None,
-) -> list[Verdict]:
+) -> list[Verdict]:  # fmt: skip
     """Judge recordings by comparison with normal runs, each by itself.
 
     A recording that cannot be judged gets a verdict with the reason, and the others are still
@@ -409,6 +402,8 @@ def _lines_of_contract(
     """Return the breaches of the contract, and the notes on it."""
     if card.contract is None or seen is None:
         return (), ()
+    if is_outside(len(tables.windows), card.scorer.lengths):
+        seen = replace(seen, repeats={})  # a longer one repeats more
     is_cut = any(note.startswith(CUT) for note in tables.notes)
     lacking = {} if is_cut else lacking_numbers(given_numbers(tables.run), usual)
     found = card.contract.breaches(seen, lacking)

@@ -131,15 +131,9 @@ def _bytes_on_disk(path: str) -> int:
 
 
 def make_plan(
-    root: Path,
-    wanted: Collection[RunDirectory],
-    *,
-    budget: int | None,
-    reserve: int,
-    workers: int,
-    goals: int,
-    together: int = 1,
-) -> StoragePlan:
+    root: Path, wanted: Collection[RunDirectory], *, budget: int | None, reserve: int, workers: int,
+    goals: int, together: int = 1,
+) -> StoragePlan:  # fmt: skip
     """Plan the storage of requested and finished runs.
 
     Parameters

@@ -112,16 +112,9 @@ class _Session:
     """Accompanies a run: paces it, serves its domain, and executes typed commands."""
 
     def __init__(
-        self,
-        run: "TestbedRun",
-        speed: float,
-        number: int,
-        mode: str,
-        block: int,
-        campaign: Campaign,
-        *,
-        is_kept: bool,
-    ) -> None:
+        self, run: "TestbedRun", speed: float, number: int, mode: str, block: int,
+        campaign: Campaign, *, is_kept: bool,
+    ) -> None:  # fmt: skip
         from sim.serving import ServedDomain
 
         if not hasattr(run, "domain"):

@@ -54,15 +54,10 @@ Progress = Callable[..., Iterable[RawMessage]]  # of messages, and their ``total
 
 
 def mutate_bag(
-    bag_in: Path,
-    bag_out: Path,
-    program: Program,
-    run_seed: int,
-    at_s: float | None = None,
-    parameters: Mapping[str, Any] | None = None,
-    track: Progress = lambda messages, **_: messages,
+    bag_in: Path, bag_out: Path, program: Program, run_seed: int, at_s: float | None = None,
+    parameters: Mapping[str, Any] | None = None, track: Progress = lambda messages, **_: messages,
     goals_s: Sequence[float] | None = None,
-) -> Summary:
+) -> Summary:  # fmt: skip
     """Run a program over a bag.
 
     Parameters

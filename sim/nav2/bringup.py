@@ -53,17 +53,10 @@ class Nav2:
 
 
 def bring_up(
-    domain: Domain,
-    world_map: OccupancyMap,
-    *,
-    generator: Callable[[str], np.random.Generator],
-    latency_ns: int = 0,
-    run: int = 0,
-    monitored: Sequence[PointSource] = SOURCES,
-    speed: float = 1.0,
-    stock: bool = False,
-    parameters: Mapping[str, float] = MappingProxyType({}),
-) -> Nav2:
+    domain: Domain, world_map: OccupancyMap, *, generator: Callable[[str], np.random.Generator],
+    latency_ns: int = 0, run: int = 0, monitored: Sequence[PointSource] = SOURCES,
+    speed: float = 1.0, stock: bool = False, parameters: Mapping[str, float] = MappingProxyType({}),
+) -> Nav2:  # fmt: skip
     """Add Nav2 to a domain; it becomes active when AMCL has got the initial pose.
 
     Parameters

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from oracle_pipeline.features.engine.timeline import Timeline
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.contract import FEWEST_RECORDINGS, Contract, Observation, Observer
+from oracle_pipeline.scoring.fingerprints import Copies
 from oracle_pipeline.scoring.isolation import extracted
 from oracle_pipeline.scoring.pace import Pace
-from oracle_pipeline.scoring.relays import Copies
 from tests.oracle_pipeline.features.conftest import drive, write_bag
 
 names = st.sampled_from(["/scan", "/odom", "/tf", "/cmd_vel", "/rosout"])

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.scoring.contract import FEWEST_RECORDINGS, Contract, Observation
+from oracle_pipeline.scoring.fingerprints import Copies
 from oracle_pipeline.scoring.pace import FEWEST
-from oracle_pipeline.scoring.relays import Copies
 from tests.oracle_pipeline.features.scenery import odometry_message, scan_message
 
 COUNT = 2 * FEWEST

@@ -1,0 +1,161 @@
+"""Finds equal messages: topics that copy another one, and topics that repeat themselves.
+
+A relay, a multiplexer or a filter that lets messages pass republishes what it receives. A program
+that alters messages on the way leaves them similar, and few features compare topics of any type.
+
+Noise makes the messages of a sensor differ. A sequence of them that comes again was recorded and
+replayed, even if it fits what else happens.
+"""
+
+from array import array
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
+
+from oracle_pipeline.bags.errors import BagError
+from oracle_pipeline.bags.merging import Messages, Rows
+from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.scoring.pace import FEWEST
+
+MOST_TOPICS = 500  # of a type that are compared
+MOST_MESSAGES = 1_000_000  # of a topic, and of all topics of a type, that are compared
+DIFFERENT = 50  # messages of a topic that must differ; states and texts repeat by themselves
+_STAMP_ENDS = 12  # bytes of a message up to the end of its header's stamp
+
+
+class Copies(NamedTuple):
+    """How many messages of a topic are equal to a message of another one."""
+
+    equal: int
+    messages: int
+
+    @property
+    def share(self) -> float:
+        """Share of the topic's messages."""
+        return self.equal / self.messages
+
+
+Relays: TypeAlias = Mapping[str, Mapping[str, Copies]]
+
+
+class Fingerprints:
+    """Hashes of messages, without the stamps of their headers, taken while the bag is read.
+
+    Parameters
+    ----------
+    bag : BagReader
+        The bag that is read.
+    """
+
+    def __init__(self, bag: BagReader) -> None:
+        self._bag = bag
+        self._names = list(bag.topics)
+        topics = enumerate(bag.topics.values())
+        self._hashes = {n: array("q") for n, of in topics if 0 < of.count <= MOST_MESSAGES}
+        self._times = {number: array("q") for number in self._hashes}
+        self._begins = {number: self._begin(number) for number in self._hashes}
+
+    def add(self, batch: Messages, number: int, rows: Rows) -> None:
+        """Take the hashes of the next messages of a topic: some rows of a batch."""
+        if (hashes := self._hashes.get(number)) is not None:
+            begin = self._begins[number]
+            hashes.extend(hash(data[begin:]) for data in batch.messages(rows))
+            self._times[number].extend(batch.stamps_ns[rows].tolist())
+
+    def relays(self) -> dict[str, dict[str, Copies]]:
+        """Return the topics that can be relays, and their copies: topic -> source -> copies.
+
+        A copy comes after its source. A topic without any copy has an empty entry. A topic
+        with fewer than `FEWEST` different messages has none, because these may be equal by chance.
+        """
+        found: dict[str, dict[str, Copies]] = {}
+        for numbers in self._of_one_type():
+            counts = _occurrences([self._hashes[number] for number in numbers])
+            equal = (counts @ (counts > 0).astype(np.int64).T).toarray()
+            for row, number in enumerate(numbers):
+                if counts.indptr[row + 1] - counts.indptr[row] >= FEWEST:
+                    count = int(equal[row, row])
+                    found[self._names[number]] = {
+                        self._names[other]: Copies(int(equal[row, column]), count)
+                        for column, other in enumerate(numbers)
+                        if other != number and equal[row, column] and self._follows(number, other)
+                    }
+        return found
+
+    def repeats(self) -> dict[str, int]:
+        """Return how many messages each topic repeats in a row, if enough of them differ."""
+        return {
+            self._names[number]: longest_repeat(hashes)
+            for number, hashes in self._hashes.items()
+            if len(set(hashes)) >= DIFFERENT
+        }
+
+    def _begin(self, number: int) -> int:
+        """Return where the messages of a topic begin to be compared."""
+        msgtype = self._bag.topics[self._names[number]].msgtype
+        try:
+            fields = self._bag.typestore(msgtype).fielddefs[msgtype][1]
+        except BagError:
+            return 0
+        return _STAMP_ENDS if fields and fields[0][0] == "header" else 0
+
+    def _of_one_type(self) -> Iterator[list[int]]:
+        """Yield the topics of each type that has several."""
+        of_type = defaultdict(list)
+        for number in self._hashes:
+            of_type[self._bag.topics[self._names[number]].msgtype].append(number)
+        for numbers in of_type.values():
+            messages = sum(len(self._hashes[number]) for number in numbers)
+            if 1 < len(numbers) <= MOST_TOPICS and messages <= MOST_MESSAGES:
+                yield numbers
+
+    def _follows(self, topic: int, source: int) -> bool:
+        """Return whether what two topics share came on the source first; of two at once, one is."""
+        ours, theirs = (  # of equal messages, the time of the first is set last
+            dict(zip(reversed(self._hashes[each]), reversed(self._times[each]), strict=True))
+            for each in (topic, source)
+        )
+        later = float(np.median([ours[key] - theirs[key] for key in ours.keys() & theirs]))
+        return later > 0.0 or (later == 0.0 and self._names[source] < self._names[topic])
+
+
+def longest_repeat(contents: ArrayLike) -> int:
+    """Return the length of the longest sequence that repeats the one at some earlier place.
+
+    Equal messages in a row count once. What is between the repeated messages does not end a
+    sequence, and no sequence repeats itself, as two states that alternate would.
+
+    Parameters
+    ----------
+    contents : array_like of shape (n,)
+        One number for each message; equal ones stand for equal messages.
+
+    Examples
+    --------
+    >>> longest_repeat([1, 2, 3, 4, 9, 2, 3, 8, 4, 5]), longest_repeat([1, 2, 1, 2, 1, 2])
+    (3, 2)
+    """
+    values = np.asarray(contents)
+    values = values[np.diff(values, prepend=values[:1] - 1) != 0]
+    order = np.argsort(values, kind="stable")
+    again = values[order[1:]] == values[order[:-1]]
+    earlier = np.full(len(values), -1)
+    earlier[order[1:][again]] = order[:-1][again]
+    (repeated,) = np.nonzero(earlier >= 0)
+    earlier = earlier[repeated]
+    (begins,) = np.nonzero(np.diff(earlier, prepend=-2) != 1)
+    lengths = np.diff(begins, append=len(repeated))
+    return int(np.minimum(lengths, (repeated - earlier)[begins]).max(initial=0))
+
+
+def _occurrences(hashes: "list[array[int]]") -> "csr_array[np.int64]":
+    """Return how often each topic has each message, shape (n_topics, n_different)."""
+    topic = np.repeat(np.arange(len(hashes)), [len(each) for each in hashes])
+    values = np.concatenate([np.frombuffer(each, dtype=np.int64) for each in hashes])
+    different, message = np.unique(values, return_inverse=True)
+    ones: NDArray[np.int64] = np.ones(len(values), dtype=np.int64)
+    return csr_array((ones, (topic, message)), shape=(len(hashes), len(different)))
