@@ -5,7 +5,8 @@ from unaltered runs of its block (``oracle_pipeline.evaluation.task_effects``). 
 compared with the score of the same name on the reference card.
 
 Most runs that misbehaved were attacked, so a score that only shows the attack would seem to show
-the misbehaviour, too. Within a mode, runs differ by their effect alone.
+the misbehaviour, too. Within a mode, runs differ by their effect alone. Only calm blocks count
+there: where unaltered runs are unusual, a run without an effect is so as well.
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,7 +54,8 @@ def aspects_table(
             scope = ComparedRuns(each.name, each.runs & known)
             if scope.runs.any():
                 figures = judge(of_aspect, campaign, scope, rng, positive)
-                figures |= _within_modes(of_aspect, campaign, scope, rng, positive)
+                calm = ComparedRuns(each.name, scope.runs & effects.calm)
+                figures |= _within_modes(of_aspect, campaign, calm, rng, positive)
                 rows.append({"aspect": aspect, "scope": each.name, **figures})
     return pd.DataFrame(rows)
 

@@ -37,10 +37,14 @@ class TaskEffects:
         A column for each quantity, in its unit; NaN where it was not measured.
     uncertainty : mapping of str to float
         Of each quantity, in its unit; NaN if there are too few unaltered runs.
+    calm : ndarray of bool, shape (n_runs,)
+        Whether no unaltered run of the block needed a recovery. Elsewhere, a run that is like them
+        may be unusual.
     """
 
     differences: pd.DataFrame
     uncertainty: Mapping[str, float]
+    calm: NDArray[np.bool_]
 
     @property
     def size(self) -> NDArray[np.float64]:
@@ -80,9 +84,11 @@ def task_effects(campaign: JudgedRuns) -> TaskEffects:
     for rows in measured.groupby(alike).indices.values():
         differences[rows] = _differences(measured.to_numpy()[rows], unaltered[rows])
     uncertainty = _uncertainty(np.abs(differences[unaltered]))
+    recovered = campaign.block[unaltered & (measured["recoveries"] > 0.0)]
     return TaskEffects(
         pd.DataFrame(differences, columns=list(UNITS)),
         dict(zip(UNITS, uncertainty.tolist(), strict=True)),
+        ~np.isin(campaign.block, recovered),
     )
 
 

@@ -95,3 +95,22 @@ def test_each_ground_truth_is_compared_with_its_own_score():
     mode = judged.features["mode"].to_numpy()
     assert effects.misbehaved[mode == "fake_object"].mean() > 0.95
     assert effects.misbehaved[mode == "lidar_passthrough"].mean() < 0.2
+
+
+def test_within_modes_only_blocks_whose_unaltered_runs_are_usual_count():
+    judged = campaign(metres=3.0)
+    mode, odd = judged.features["mode"].to_numpy(), judged.block == 0
+    driven = np.array([json.loads(text)["driven_m"] for text in judged.truth["behaviour"]])
+    driven -= 3.0 * (judged.malicious & (judged.block <= 1))  # without an effect
+    recoveries = np.where(odd & (mode == "lidar_passthrough"), 9.0, 0.0)
+    judged.truth["behaviour"] = [
+        json.dumps({"driven_m": way, "recoveries": number})
+        for way, number in zip(driven, recoveries, strict=True)
+    ]
+    effects = task_effects(judged)
+    assert (effects.calm == ~odd).all()
+    unusual = effects.size + 99.0 * odd
+    scores = {"misbehaviour": HeldOutScores(unusual, np.full_like(unusual, 0.5), 29)}
+    rng = np.random.default_rng(0)
+    table = aspects_table(scores, judged, effects, comparisons(judged.features), rng)
+    assert table.set_index("scope").loc["all modes", "auc_within_modes"] == 1.0
