@@ -83,15 +83,10 @@ def latest_materializations(
 
 
 def check_evaluation(
-    spec: dg.AssetCheckSpec,
-    key: str,
-    target: dg.EventLogRecord | None,
-    *,
-    passed: bool,
-    description: str | None,
-    metadata: Figures,
+    spec: dg.AssetCheckSpec, key: str, target: dg.EventLogRecord | None, *, passed: bool,
+    description: str | None, metadata: Figures,
     severity: dg.AssetCheckSeverity = dg.AssetCheckSeverity.ERROR,
-) -> dg.AssetCheckEvaluation:
+) -> dg.AssetCheckEvaluation:  # fmt: skip
     """Return a check's result for one partition, linked to the checked materialization."""
     return dg.AssetCheckEvaluation(
         asset_key=spec.asset_key, check_name=spec.name, partition=key, passed=passed,

@@ -262,7 +262,7 @@ def _json(table: "Table", tables: "RecordingFeatures") -> str:
 )  # fmt: skip
 @click.option(
     "--no-contract", is_flag=True,
-    help="Compare no topics, types, QoS, rates, numbers, fields, copies, repeats and no graph.",
+    help="Compare no topics, types, QoS, rates, fields, copies, repeats, parameters and no graph.",
 )  # fmt: skip
 @click.option(
     "--suite", is_flag=True,

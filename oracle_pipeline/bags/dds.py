@@ -130,15 +130,9 @@ def _member(kind: Nodetype, what: Any, store: Typestore) -> Any:
 
 
 def _endpoint(
-    make: Any,
-    doing: str,
-    participant: Participant,
-    name: str,
-    msgtype: str,
-    qos: Qos,
-    store: Typestore | None,
-    arrived: NDArray[np.int64] | None = None,
-) -> tuple[Any, Any]:
+    make: Any, doing: str, participant: Participant, name: str, msgtype: str, qos: Qos,
+    store: Typestore | None, arrived: NDArray[np.int64] | None = None,
+) -> tuple[Any, Any]:  # fmt: skip
     """Return a topic, and a reader or writer of it; arrived messages are counted, if wanted."""
     definition = idl_type(msgtype, store or types.typestore())
     try:
@@ -224,15 +218,9 @@ class RawReader:
     """
 
     def __init__(
-        self,
-        participant: Participant,
-        name: str,
-        msgtype: str,
-        qos: Qos,
-        store: Typestore | None = None,
-        *,
-        others_only: bool = False,
-    ) -> None:
+        self, participant: Participant, name: str, msgtype: str, qos: Qos,
+        store: Typestore | None = None, *, others_only: bool = False,
+    ) -> None:  # fmt: skip
         self.lost = self._taken = 0
         self._arrived = np.zeros(1, np.int64)
         reader = _foreign_reader if others_only else sub.DataReader

@@ -105,7 +105,7 @@ def _elements(seen: Observation) -> list[str]:
     ]  # fmt: skip
     texts = [
         f"parameter {name} = {value}"
-        for name, value in seen.parameters.items() if isinstance(value, str)
+        for name, value in seen.parameters.values.items() if isinstance(value, str)
     ]  # fmt: skip
     elements = (*topics, *qos, *texts, *sorted(seen.graph or ()))
     return [f"{INTERFACE}.{element}" for element in elements]
@@ -114,6 +114,7 @@ def _elements(seen: Observation) -> list[str]:
 def _numbers(seen: Observation) -> dict[str, float]:
     """Return the rates and payloads of topics, and the parameters that are numbers."""
     rates = {name: hz for name, (_, _, hz) in seen.topics.items() if hz is not None}
-    numbers = {name: each for name, each in seen.parameters.items() if not isinstance(each, str)}
+    known = seen.parameters.values
+    numbers = {name: each for name, each in known.items() if not isinstance(each, str)}
     families = {RATE: rates, PAYLOAD: seen.entropies, PARAMETER: numbers}
     return {f"{family}.{n}": value for family, of in families.items() for n, value in of.items()}

@@ -192,14 +192,9 @@ class WindowFeatures(NamedTuple):
 
 @np.errstate(all="ignore")
 def extract_window(
-    run: OpenedRun,
-    manager: FeatureManager,
-    start_s: float,
-    carried: Carried,
-    robot: Robot | None = None,
-    *,
-    signals: bool = False,
-) -> WindowFeatures:
+    run: OpenedRun, manager: FeatureManager, start_s: float, carried: Carried,
+    robot: Robot | None = None, *, signals: bool = False,
+) -> WindowFeatures:  # fmt: skip
     """Compute the features of one window of a recording in progress.
 
     Parameters

@@ -66,14 +66,9 @@ class _Shown(NamedTuple):
 
 
 def write(
-    path: Path,
-    verdicts: Sequence[Verdict],
-    far: float,
-    notes: Sequence[str],
-    manager: FeatureManager,
-    limits: Limits,
-    draw: Draw,
-) -> None:
+    path: Path, verdicts: Sequence[Verdict], far: float, notes: Sequence[str],
+    manager: FeatureManager, limits: Limits, draw: Draw,
+) -> None:  # fmt: skip
     """Write the page.
 
     Parameters

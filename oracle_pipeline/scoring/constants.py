@@ -24,7 +24,7 @@ from oracle_pipeline.features.engine.common_fields import frame_names
 from oracle_pipeline.robots.first_messages import TRANSFORM_TYPES
 from oracle_pipeline.robots.roles import is_static
 from oracle_pipeline.scoring.pace import FEWEST
-from oracle_pipeline.scoring.parameters import EVENTS, Parameters, parameters_of
+from oracle_pipeline.scoring.parameters import EVENTS, ReportedParameters, parameters_of
 
 MOST_MESSAGES = 50  # sampled per topic, spread over the recording
 MOST_OF_TRANSFORMS = 1000  # per topic of transforms, whose messages have different frames
@@ -114,8 +114,8 @@ class Samples:
         sampled = {topic: b"".join(data) for topic, data in self.taken.items() if any(data)}
         return {topic: _entropy(data) for topic, data in sampled.items()}
 
-    def parameters(self) -> Parameters:
-        """Return the last value of each parameter that was reported, by node and name."""
+    def parameters(self) -> ReportedParameters:
+        """Return the parameters that were reported."""
         reported = [data for topic in self._events for data in self.taken[topic]]
         whole = SerializedMessages(reported, typestore(), EVENTS, is_cdr=True).whole
         return parameters_of(itertools.compress(reported, whole))

@@ -9,7 +9,7 @@ longest silence, and the number of messages in ten seconds.
 import math
 import re
 import textwrap
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
@@ -28,7 +28,7 @@ from oracle_pipeline.robots.known import Known
 from oracle_pipeline.scoring.constants import LIKE, OR, Samples, is_of_transform, likes
 from oracle_pipeline.scoring.fingerprints import Fingerprints, Relays
 from oracle_pipeline.scoring.pace import FEWEST, SPAN_S, Pace, Stamped, merged_paces, paces
-from oracle_pipeline.scoring.parameters import Parameters
+from oracle_pipeline.scoring.parameters import PROCESS_SUFFIX, ReportedParameters
 
 STEADY = 1.5  # largest ratio between the rates of normal recordings at which a rate is steady
 MARGIN = 0.05  # relative margin on the rates of normal recordings, and on shares of copies
@@ -48,12 +48,10 @@ _OTHER_MACHINE = "another machine or a full queue changes a rate as much"
 
 Term: TypeAlias = Literal[
     "topic", "type", "qos", "rate", "constant", "copies", "repeats", "clock", "graph", "number",
-    "robots",
+    "robots", "parameter",
 ]  # fmt: skip
 NOTHING: Mapping[str, str] = MappingProxyType({})
-
-# ROS 2 tools append a suffix to some node names that differs between processes.
-_PROCESS_SUFFIX = re.compile(r"(?<=_)(?:0x)?[0-9a-f]*\d[0-9a-f]*$")
+NO_PARAMETERS = ReportedParameters({}, frozenset())
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +114,8 @@ class Observation:
         Whether no message was lost; if not, rates and copies prove nothing.
     roles, instead : mapping of str to tuple of str
         Role -> its topics; and, where the reference knows others, the topics that may play it.
-    parameters : mapping of str to float or str
-        Of the nodes, as far as events report them; only `oracle compare` uses them.
+    parameters : ReportedParameters
+        Of the nodes, as far as events report them.
     entropies : mapping of str to float
         Of the bytes of each topic [bit], for `oracle compare`; empty unless requested.
     duration_s : float
@@ -138,7 +136,7 @@ class Observation:
     losses: tuple[str, ...] = ()
     roles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     instead: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    parameters: Parameters = field(default_factory=dict)
+    parameters: ReportedParameters = NO_PARAMETERS
     entropies: Mapping[str, float] = field(default_factory=dict)
     duration_s: float = math.inf
     set_back: tuple[tuple[float, float], ...] = ()
@@ -214,6 +212,10 @@ class Contract:
         recordings differ.
     relays : dict of str to dict
         Topic -> source -> lowest share of the topic's messages that are copies of the source's.
+    parameters : dict of str to float or str
+        Parameter -> its value in all recordings that report it.
+    changed : frozenset of str or None
+        Parameters that were set during any recording; None if that is unknown.
     repeats : dict of str to int
         Topic -> length of the longest sequence of messages that came before in any recording.
     roles : dict of str to tuple of str
@@ -237,6 +239,8 @@ class Contract:
     unsteady: frozenset[str] = frozenset()
     robots: int = 1
     repeats: Mapping[str, int] = field(default_factory=dict)
+    parameters: Mapping[str, float | str] = field(default_factory=dict)
+    changed: frozenset[str] | None = None
 
     @property
     def known(self) -> Known:
@@ -261,6 +265,10 @@ class Contract:
             not any(seen.set_back for seen in observations),
             robots=min(seen.robots or 1 for seen in observations),
             repeats={name: n for name in names if (n := _repeats(name, observations)) is not None},
+            parameters=_parameters(observations),
+            changed=frozenset().union(*(seen.parameters.changed for seen in observations))
+            if len(observations) >= FEWEST_RECORDINGS
+            else None,
         )
 
     def breaches(
@@ -298,6 +306,7 @@ class Contract:
         if seen.robots is not None and seen.robots < self.robots:
             has = f"The recording has {seen.robots} of the {self.robots} robots"
             found.append(Breach("robots", f"{has} that every normal recording has.", "robots"))
+        found += self._of_parameters(seen.parameters)
         found += self._of_graph(seen.graph)
         for name, numbers in lacking.items():
             if name in seen.topics and seen.topics[name][0] in self.topics[name].types:
@@ -377,6 +386,16 @@ class Contract:
         rate_hz = seen.topics[name][2]
         return max(0.0, 1.0 - rate_hz / usual_hz) if usual_hz and rate_hz else 0.0
 
+    def _of_parameters(self, seen: ReportedParameters) -> Iterable[Breach]:
+        for name, now in sorted(seen.values.items()):
+            usual = self.parameters.get(name)
+            if usual is not None and now != usual:
+                text = f"Parameter {name} is {now} instead of {usual}."
+                yield Breach(name, text, "parameter")
+            elif self.changed is not None and name in seen.changed - self.changed:
+                text = f"Parameter {name} is set to {now}; no normal recording sets it."
+                yield Breach(name, text, "parameter")
+
     def _of_graph(self, graph: frozenset[str] | None) -> list[Breach]:
         if graph is None or not self.ever:
             return []
@@ -387,7 +406,8 @@ class Contract:
     def to_dict(self) -> dict[str, Any]:
         """Return the contract as JSON-compatible values."""
         document = asdict(self)
-        return document | {key: sorted(document[key]) for key in ("always", "ever", "unsteady")}
+        sets = [key for key, value in document.items() if isinstance(value, frozenset)]
+        return document | {key: sorted(document[key]) for key in sets}
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> Self:
@@ -409,6 +429,8 @@ class Contract:
             frozenset(document.get("unsteady", ())),  # cards of 0.3.0 have neither
             document.get("robots", 1),
             document.get("repeats", {}),
+            document.get("parameters", {}),
+            None if (changed := document.get("changed")) is None else frozenset(changed),
         )
 
 
@@ -479,6 +501,19 @@ def _repeats(name: str, observations: Sequence[Observation]) -> int | None:
     return max(known) if is_known else None
 
 
+def _parameters(observations: Sequence[Observation]) -> dict[str, float | str]:
+    """Return the parameters that have one value in all recordings that report them."""
+    seen = defaultdict[str, list[float | str]](list)
+    for of in observations:
+        for name, value in of.parameters.values.items():
+            seen[name].append(value)
+    return {
+        name: values[0]
+        for name, values in seen.items()
+        if len(values) >= FEWEST_RECORDINGS and len(set(values)) == 1
+    }
+
+
 def _roles(observations: Iterable[Observation]) -> dict[str, tuple[str, ...]]:
     """Return the topics that play each role in any recording."""
     found: dict[str, set[str]] = {}
@@ -546,7 +581,7 @@ def _rate(count: int, duration_s: float) -> float | None:
 
 def graph_elements(graph: RosGraph) -> frozenset[str]:
     """Return nodes and edges, with process suffixes replaced by ``*``."""
-    name = {vertex: _PROCESS_SUFFIX.sub("*", vertex) for vertex in graph}
+    name = {vertex: PROCESS_SUFFIX.sub("*", vertex) for vertex in graph}
     nodes = {name[vertex] for vertex, data in graph.nodes(data=True) if data["kind"] == "node"}
     return frozenset(
         nodes | {f"{name[source]} -> {name[target]}" for source, target in graph.edges}

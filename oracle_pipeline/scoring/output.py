@@ -33,8 +33,8 @@ _TALLIED: dict[Judgement, str] = {
 _WIDTH = len("NO VERDICT")
 
 BREACH = (
-    "Breach: not anomalous by its features, but topics, rates, constant fields, copied or repeated "
-    "messages or the graph are not as in all normal recordings."
+    "Breach: not anomalous by its features, but topics, rates, parameters, constant fields, copied "
+    "or repeated messages or the graph are not as in all normal recordings."
 )
 
 MOST_TOLD = 10  # breaches of the contract, or notes, that are shown at once

@@ -4,9 +4,10 @@ A node of ROS 2 reports on ``/parameter_events`` what it declares and what is se
 that runs before the node starts gets the declared values.
 """
 
+import re
 import zlib
 from collections.abc import Iterable
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from oracle_pipeline.bags.types import typestore
 
@@ -15,25 +16,39 @@ Parameters: TypeAlias = dict[str, float | str]
 EVENTS = "rcl_interfaces/msg/ParameterEvent"
 _VALUE = "rcl_interfaces/msg/ParameterValue"
 _LONGEST = 60  # characters of a value, before it is cut
+# ROS 2 tools append a suffix to some node names that differs between processes.
+PROCESS_SUFFIX = re.compile(r"(?<=_)(?:0x)?[0-9a-f]*\d[0-9a-f]*$")
+_TOOLS = ("/_", "/rosbag2_")  # begin the names of nodes of ROS 2 tools
 
 
-def parameters_of(events: Iterable[bytes]) -> Parameters:
-    """Return the last value of each parameter, named by node and parameter.
+class ReportedParameters(NamedTuple):
+    """Parameters by node and name, with ``*`` for what differs between processes."""
+
+    values: Parameters  # the last ones
+    changed: frozenset[str]  # those that were set, and not only declared
+
+
+def parameters_of(events: Iterable[bytes]) -> ReportedParameters:
+    """Return the parameters that were reported, but for those of ROS 2 tools.
 
     Parameters
     ----------
     events : iterable of bytes
         Messages of type `EVENTS`, in order of time.
     """
-    found: Parameters = {}
+    found, changed = Parameters(), set[str]()
     fields = [name for name, _ in typestore().fielddefs[_VALUE][1]]  # in the order of the types
     for data in events:
         event: Any = typestore().deserialize_cdr(data, EVENTS)
+        if event.node.startswith(_TOOLS):
+            continue
+        node = PROCESS_SUFFIX.sub("*", event.node)
         for each in (*event.new_parameters, *event.changed_parameters):
             if 0 < each.value.type < len(fields):  # 0: it has no value
                 value = getattr(each.value, fields[each.value.type])
-                found[f"{event.node} {each.name}"] = _as_number_or_text(value)
-    return found
+                found[f"{node} {each.name}"] = _as_number_or_text(value)
+        changed |= {f"{node} {each.name}" for each in event.changed_parameters}
+    return ReportedParameters(found, frozenset(changed & found.keys()))
 
 
 def _as_number_or_text(value: Any) -> float | str:

@@ -75,15 +75,10 @@ class ActionNode(TreeNode):
     """
 
     def __init__(
-        self,
-        name: str,
-        client: ActionClient,
-        make_goal: Callable[[], Any],
-        wake: Callable[[], None],
-        *,
-        on_start: Callable[[], None] = lambda: None,
+        self, name: str, client: ActionClient, make_goal: Callable[[], Any],
+        wake: Callable[[], None], *, on_start: Callable[[], None] = lambda: None,
         on_success: Callable[[Any], None] = lambda _: None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(name)
         self._client = client
         self._make_goal = make_goal

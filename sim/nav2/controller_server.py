@@ -97,15 +97,9 @@ class ControllerServer(LifecycleNode):
     """
 
     def __init__(
-        self,
-        domain: Domain,
-        costmap: LocalCostmap,
-        transforms: TransformBuffer,
-        *,
-        parameters: Parameters | None = None,
-        faces_paths: bool = True,
-        latency_ns: int = 0,
-    ) -> None:
+        self, domain: Domain, costmap: LocalCostmap, transforms: TransformBuffer, *,
+        parameters: Parameters | None = None, faces_paths: bool = True, latency_ns: int = 0,
+    ) -> None:  # fmt: skip
         super().__init__(domain, "/controller_server", latency_ns=latency_ns)
         self._costmap = costmap
         self._transforms = transforms

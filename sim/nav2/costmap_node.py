@@ -110,15 +110,9 @@ class _CostmapNode(LifecycleNode):
     clearing_margin: ClassVar[float] = 0.0  # see `ObstacleLayer` [m]
 
     def __init__(
-        self,
-        domain: Domain,
-        transforms: TransformBuffer,
-        scan_topics: Sequence[str],
-        *,
-        rng: np.random.Generator,
-        latency_ns: int = 0,
-        inflation: Inflation = AS_SHIPPED,
-    ) -> None:
+        self, domain: Domain, transforms: TransformBuffer, scan_topics: Sequence[str], *,
+        rng: np.random.Generator, latency_ns: int = 0, inflation: Inflation = AS_SHIPPED,
+    ) -> None:  # fmt: skip
         label = self.label
         super().__init__(domain, f"/{label}/{label}", bond=False, rng=rng, latency_ns=latency_ns)
         self.is_current = True

@@ -13,6 +13,7 @@ from oracle_pipeline.comparison.set_comparison import ComparisonError, compare, 
 from oracle_pipeline.comparison.texts import as_markdown, as_text
 from oracle_pipeline.datasets import Fields
 from oracle_pipeline.scoring.contract import Observation
+from oracle_pipeline.scoring.parameters import ReportedParameters
 from oracle_pipeline.scoring.reference import Reference
 
 
@@ -153,12 +154,16 @@ def test_a_topic_that_one_set_lacks_is_a_difference(seen: Any, element: str) -> 
     assert any(element in feature for feature in features)
 
 
+def told(values: dict[str, float | str]) -> ReportedParameters:
+    return ReportedParameters(values, frozenset())
+
+
 @pytest.mark.parametrize(
     ("before", "after", "feature"),
     [
-        ({"parameters": {"/dwb speed": 0.26}}, {"parameters": {"/dwb speed": 0.23}},
+        ({"parameters": told({"/dwb speed": 0.26})}, {"parameters": told({"/dwb speed": 0.23})},
          "parameter./dwb speed"),
-        ({"parameters": {"/dwb frame": "map"}}, {"parameters": {"/dwb frame": "odom"}},
+        ({"parameters": told({"/dwb frame": "map"})}, {"parameters": told({"/dwb frame": "odom"})},
          "interface.parameter /dwb frame = map"),
         ({"entropies": {"/costmap": 3.6}}, {"entropies": {"/costmap": 3.9}}, "payload./costmap"),
     ],
@@ -169,9 +174,9 @@ def test_what_nodes_are_told_and_what_topics_carry_is_compared(
     sets = [
         Reference(
             reference(np.arange(5.0), first_block=-9).table,
-            observations=(Observation({}, None, **told),) * 5,
+            observations=(Observation({}, None, **of),) * 5,
         )
-        for told in (before, after)
+        for of in (before, after)
     ]
     assert feature in [each.feature for each in compare(*sets).differences]
 

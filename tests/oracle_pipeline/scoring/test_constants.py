@@ -145,7 +145,7 @@ def test_the_link_of_a_joint_that_turns_is_mounted_in_one_place(constants_of):
     assert "odom -> base translation" not in found
 
 
-EMPTY = {
+VALUES = {
     "bool_value": False, "integer_value": 0, "double_value": 0.0, "string_value": "",
     "byte_array_value": np.zeros(0, np.uint8), "bool_array_value": np.zeros(0, np.bool_),
     "integer_array_value": np.zeros(0, np.int64), "double_array_value": np.zeros(0),
@@ -153,16 +153,16 @@ EMPTY = {
 }  # fmt: skip
 
 
-def parameter_events(*values):
+def parameter_events(*values, node="/planner", declared=False):
     event, parameter, value = (
         message_class(f"rcl_interfaces/msg/{name}")
         for name in ("ParameterEvent", "Parameter", "ParameterValue")
     )
     for number, (name, field, given) in enumerate(values):
-        kind = 1 + list(EMPTY).index(field)
-        reported = parameter(name, value(kind, **{**EMPTY, field: given}))
-        stamp = header(number, "").stamp
-        yield float(number), "/parameter_events", event(stamp, "/planner", [], [reported], [])
+        kind = 1 + list(VALUES).index(field)
+        reported = [parameter(name, value(kind, **{**VALUES, field: given}))]
+        of = (reported, [], []) if declared else ([], reported, [])
+        yield float(number), "/parameter_events", event(header(number, "").stamp, node, *of)
 
 
 def test_the_last_value_of_each_parameter_is_known(observer_of):
@@ -171,8 +171,30 @@ def test_the_last_value_of_each_parameter_is_known(observer_of):
         ("enabled", "bool_value", True), ("frame", "string_value", "map" * 40),
         ("corners", "double_array_value", np.array([1.0, 2.0])),
     )  # fmt: skip
-    found = observer_of(list(told)).samples.parameters()
+    found, changed = observer_of(list(told)).samples.parameters()
+    assert changed == found.keys()
     assert found.pop("/planner frame").startswith("map" * 20 + "... (")
     assert found == {
         "/planner tolerance": 0.25, "/planner enabled": 1.0, "/planner corners": "1.0, 2.0",
     }  # fmt: skip
+
+
+def test_what_a_node_declares_is_not_set(observer_of):
+    speed = ("speed", "double_value", 0.26)
+    assert observer_of(list(parameter_events(speed, declared=True))).samples.parameters() == (
+        {"/planner speed": 0.26}, frozenset(),
+    )  # fmt: skip
+
+
+def test_the_number_of_a_process_and_tools_of_ros_make_no_other_parameter(observer_of):
+    speed = ("speed", "double_value", 0.26)
+    names = (
+        "/listener_impl_7f3a21",
+        "/listener_impl_8b0012",
+        "/_ros2cli_4711",
+        "/rosbag2_recorder",
+    )
+    told = [each for name in names for each in parameter_events(speed, node=name)]
+    assert observer_of(told).samples.parameters() == (
+        {"/listener_impl_* speed": 0.26}, {"/listener_impl_* speed"},
+    )  # fmt: skip

@@ -12,6 +12,7 @@ from oracle_pipeline.scoring.contract import FEWEST_RECORDINGS, Contract, Observ
 from oracle_pipeline.scoring.fingerprints import Copies
 from oracle_pipeline.scoring.isolation import extracted
 from oracle_pipeline.scoring.pace import Pace
+from oracle_pipeline.scoring.parameters import ReportedParameters
 from tests.oracle_pipeline.features.conftest import drive, write_bag
 
 names = st.sampled_from(["/scan", "/odom", "/tf", "/cmd_vel", "/rosout"])
@@ -307,3 +308,40 @@ def test_terms_that_normal_recordings_break_among_themselves_are_notes():
     assert (note.severity, note.term) == ("note", "topic")
     assert unsteady.broken_terms(replace(seen, graph=frozenset())) == {"graph"}
     assert Contract.from_dict(json.loads(json.dumps(unsteady.to_dict()))) == unsteady
+
+
+def with_parameters(values, *changed):
+    return Observation({}, None, parameters=ReportedParameters(values, frozenset(changed)))
+
+
+SPEED, MAP = "/controller_server max_vel_x", "/map_server yaml_filename"
+
+
+@pytest.mark.parametrize(
+    ("seen", "told"),
+    [
+        (with_parameters({SPEED: 0.26, MAP: "a.yaml"}), []),
+        (with_parameters({}), []),  # the recorder began later
+        (with_parameters({SPEED: 0.5}), [f"Parameter {SPEED} is 0.5 instead of 0.26."]),
+        (with_parameters({SPEED: 0.26}, SPEED),
+         [f"Parameter {SPEED} is set to 0.26; no normal recording sets it."]),
+        (with_parameters({"/amcl seed": 9.0}), []),
+        (with_parameters({"/amcl alpha": 9.0}), []),  # of a node that starts later
+        (with_parameters({"/amcl alpha": 9.0}, "/amcl alpha"),
+         ["Parameter /amcl alpha is set to 9.0; no normal recording sets it."]),
+        (with_parameters({"/amcl goal": 9.0}, "/amcl goal"), []),
+    ],
+)  # fmt: skip
+def test_a_parameter_that_is_set_or_has_another_value_breaks_the_contract(seen, told):
+    normal = [
+        with_parameters(
+            {SPEED: 0.26, MAP: "a.yaml", "/amcl seed": n, "/amcl goal": n}, "/amcl goal"
+        )
+        for n in range(FEWEST_RECORDINGS)
+    ]
+    contract = Contract.from_dict(json.loads(json.dumps(Contract.learned(normal).to_dict())))
+    assert [each.text for each in contract.breaches(seen)] == told
+    few = Contract.learned(normal[1:])
+    assert few.breaches(seen) == []
+    former = {key: of for key, of in contract.to_dict().items() if key != "changed"}
+    assert len(Contract.from_dict(former).breaches(seen)) == ("instead of" in "".join(told))
