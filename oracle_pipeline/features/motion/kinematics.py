@@ -203,6 +203,9 @@ def compute(window: fp.Window) -> fp.Values:
 def fit(first: Points, slope: Points, second: Points) -> tuple[float, float, Bools]:
     """Fit ``second = scale * (first - lag * slope)`` by least squares without outliers.
 
+    How far an outlier is follows from the spans in which the robot moves. A robot that stands most
+    of the time fits there exactly, whatever the scale.
+
     Returns
     -------
     scale, lag : float
@@ -211,6 +214,7 @@ def fit(first: Points, slope: Points, second: Points) -> tuple[float, float, Boo
         The spans that are not outliers.
     """
     kept = np.ones(len(first), np.bool_)
+    moves = np.abs(first) >= np.abs(first).mean() / 2.0
     scale, lag = math.nan, math.nan
     for _ in range(3):
         bb = bd = dd = ba = da = 0.0
@@ -231,7 +235,7 @@ def fit(first: Points, slope: Points, second: Points) -> tuple[float, float, Boo
         else:
             scale, g, lag = ba / bb, 0.0, math.nan
         left = np.abs(second - scale * first - g * slope)
-        limit = max(_OUTLYING * MAD_TO_DEVIATION * np.median(left), 1e-9)
+        limit = max(_OUTLYING * MAD_TO_DEVIATION * np.median(left[moves]), 1e-9)
         kept = left <= limit
     return scale, lag, kept
 

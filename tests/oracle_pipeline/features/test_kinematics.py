@@ -315,3 +315,14 @@ def test_scale_and_lag_are_found_whatever_a_few_outliers_say(rows, scale, lag, s
     second = scale * (first - lag * slope)
     found, late, _ = fit(first, slope, second)
     assert (found, late) == pytest.approx((scale, lag), abs=1e-6)
+
+
+@given(st.floats(0.5, 0.95), st.floats(0.02, 50.0), st.integers(0, 99))
+def test_a_robot_that_stands_most_of_the_time_is_measured_while_it_moves(standing, scale, seed):
+    rng = np.random.default_rng(seed)
+    moves = np.arange(200) >= 200 * standing
+    first = np.where(moves, rng.uniform(0.05, 0.1, 200), rng.normal(0.0, 1e-7, 200)) + 0j
+    noise = np.where(moves, 1e-3 * scale, 1e-9) * rng.normal(size=200)
+    found, _, kept = fit(first, rng.normal(0.0, 1e-9, 200) + 0j, scale * first + noise)
+    assert found == pytest.approx(scale, rel=0.02)
+    assert kept[moves].mean() > 0.9
