@@ -4,6 +4,7 @@ A node of ROS 2 reports on ``/parameter_events`` what it declares and what is se
 that runs before the node starts gets the declared values.
 """
 
+import math
 import re
 import zlib
 from collections.abc import Iterable
@@ -53,7 +54,7 @@ def parameters_of(events: Iterable[bytes]) -> ReportedParameters:
 
 def _as_number_or_text(value: Any) -> float | str:
     if isinstance(value, bool | int | float):
-        return float(value)
+        return float(value) if math.isfinite(value) else str(value)
     text = value if isinstance(value, str) else ", ".join(str(each) for each in value)
     if len(text) <= _LONGEST:
         return text

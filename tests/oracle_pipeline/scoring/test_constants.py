@@ -169,13 +169,14 @@ def test_the_last_value_of_each_parameter_is_known(observer_of):
     told = parameter_events(
         ("tolerance", "double_value", 0.5), ("tolerance", "double_value", 0.25),
         ("enabled", "bool_value", True), ("frame", "string_value", "map" * 40),
-        ("corners", "double_array_value", np.array([1.0, 2.0])),
+        ("corners", "double_array_value", np.array([1.0, 2.0])), ("limit", "double_value", np.inf),
     )  # fmt: skip
     found, changed = observer_of(list(told)).samples.parameters()
     assert changed == found.keys()
     assert found.pop("/planner frame").startswith("map" * 20 + "... (")
     assert found == {
         "/planner tolerance": 0.25, "/planner enabled": 1.0, "/planner corners": "1.0, 2.0",
+        "/planner limit": "inf",
     }  # fmt: skip
 
 
