@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
-from oracle_pipeline.bags.errors import BagError
 from oracle_pipeline.bags.merging import Messages, Rows
 from oracle_pipeline.bags.reader import BagReader
+from oracle_pipeline.features.engine.message_layout import MessageLayout
 from oracle_pipeline.scoring.pace import FEWEST
 
 MOST_TOPICS = 500  # of a type that are compared
@@ -57,7 +57,10 @@ class Fingerprints:
         topics = enumerate(bag.topics.values())
         self._hashes = {n: array("q") for n, of in topics if 0 < of.count <= MOST_MESSAGES}
         self._times = {number: array("q") for number in self._hashes}
-        self._begins = {number: self._begin(number) for number in self._hashes}
+        self._begins = {
+            number: _STAMP_ENDS if MessageLayout(bag, self._names[number]).has_header else 0
+            for number in self._hashes
+        }
 
     def add(self, batch: Messages, number: int, rows: Rows) -> None:
         """Take the hashes of the next messages of a topic: some rows of a batch."""
@@ -93,15 +96,6 @@ class Fingerprints:
             for number, hashes in self._hashes.items()
             if len(set(hashes)) >= DIFFERENT
         }
-
-    def _begin(self, number: int) -> int:
-        """Return where the messages of a topic begin to be compared."""
-        msgtype = self._bag.topics[self._names[number]].msgtype
-        try:
-            fields = self._bag.typestore(msgtype).fielddefs[msgtype][1]
-        except BagError:
-            return 0
-        return _STAMP_ENDS if fields and fields[0][0] == "header" else 0
 
     def _of_one_type(self) -> Iterator[list[int]]:
         """Yield the topics of each type that has several."""
