@@ -1,8 +1,9 @@
 """Recordings that are longer or shorter than all normal recordings of a reference.
 
-Another length is not another behaviour. What grows with the length, such as the time with a goal,
-is left out then: what the robot did for each metre, minute or planned metre are features of their
-own. How the scores of such a recording count is in ``CrossConformalScorer.scores``.
+Another length is not another behaviour. What depends on the length, such as the time with a goal
+or the share of messages at the start, is left out then: what the robot did for each metre, minute
+or planned metre are features of their own. How the scores of such a recording count is in
+``CrossConformalScorer.scores``.
 """
 
 import json
@@ -16,7 +17,7 @@ from oracle_pipeline.features import FeatureTables
 from oracle_pipeline.windows import HOP_S, WINDOW_S
 
 CLEARLY = 0.1  # share of the lengths, by which a recording has another one
-_GROWS = "it grows with the length of a recording"
+_DEPENDS = "it depends on the length of a recording"
 
 
 def comparable_tables(
@@ -35,13 +36,13 @@ def comparable_tables(
         return tables, ()
     windows = len(tables.windows)
     fields = field_metadata(tables.run)
-    growing = [
+    dependent = [
         column
         for column in feature_columns(tables.run)
         if fields.get(column, {}).get("extensive") == "true"
     ]
-    reasons = json.loads(tables.run[MISSING].iloc[0]) | dict.fromkeys(growing, _GROWS)
-    run = tables.run.assign(**dict.fromkeys(growing, math.nan), **{MISSING: json.dumps(reasons)})
+    reasons = json.loads(tables.run[MISSING].iloc[0]) | dict.fromkeys(dependent, _DEPENDS)
+    run = tables.run.assign(**dict.fromkeys(dependent, math.nan), **{MISSING: json.dumps(reasons)})
     run.attrs = tables.run.attrs
     note = (
         f"It is {'longer' if windows > lengths[1] else 'shorter'} than all normal recordings: "

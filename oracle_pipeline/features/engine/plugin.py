@@ -62,14 +62,14 @@ class Feature:
     shortcut: bool = False  # identifies a run by its nodes and topics, not by its behaviour
     behaviour: bool = False  # measures the robot's behaviour, not the consistency of messages
     per_window: bool = True  # False: makes sense for a whole run only
-    extensive: bool = False  # grows with the length of a recording: a total or an extreme
+    extensive: bool = False  # depends on the length of a recording: a total, or an extreme
     timing: bool = False  # depends on when messages arrived at the recorder, or on how many did
     share: float = 0.0  # the smallest meaningful difference as a share of the usual value
 
 
-def timed(*features: Feature) -> tuple[Feature, ...]:
+def timed(*features: Feature, extensive: bool = False) -> tuple[Feature, ...]:
     """Return features as those that depend on when messages arrive, or on how many do."""
-    return tuple(replace(each, timing=True) for each in features)
+    return tuple(replace(f, timing=True, extensive=extensive or f.extensive) for f in features)
 
 
 @dataclass(frozen=True, slots=True)

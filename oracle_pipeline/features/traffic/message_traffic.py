@@ -42,6 +42,7 @@ FEATURES = fp.timed(
         "interval, mean over the intervals"),
     fp.Feature("appeared_edges", "1", 1.0, "edges that the previous interval did not have"),
     fp.Feature("vanished_edges", "1", 1.0, "edges that only the previous interval had"),
+    extensive=True,  # the longer a run is, the less of its traffic is that of its start
 )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.features import Located, Missing, Window
-from oracle_pipeline.features.traffic.message_traffic import closeness, compute, prepare
+from oracle_pipeline.features.traffic.message_traffic import FEATURES, closeness, compute, prepare
 from oracle_pipeline.graphs.intervals import Interval, compose
 from oracle_pipeline.graphs.views import system_view
 
@@ -84,6 +84,17 @@ def test_a_longer_interval_of_the_same_traffic_is_no_change():
 def test_the_first_interval_has_none_before():
     values = values_of(graph_of(*RELAY))
     assert isinstance(values["flow_change"], Missing)
+
+
+def test_what_the_start_shifts_less_in_a_longer_run_depends_on_the_length():
+    def after_a_start(intervals):
+        steady = [(source, target, intervals * n) for source, target, n in RELAY]
+        return values_of(graph_of(("n:/a", "t:/map", 50), ("t:/map", "n:/b", 50), *steady))
+
+    short, long = after_a_start(3), after_a_start(30)
+    shifted = {name for name, value in short.items() if value != long[name]}
+    assert {"imbalance", "flow_entropy", "largest_flow"} <= shifted
+    assert shifted <= {each.name for each in FEATURES if each.extensive}
 
 
 def test_without_messages_there_is_no_flow():
