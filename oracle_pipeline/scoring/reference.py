@@ -145,6 +145,7 @@ def _extracted(
     table = feature_dataset(tables)
     row = {run_id: number for number, run_id in enumerate(table["run_id"])}
     order = np.argsort([row[each["run_id"].iloc[0]] for each in tables])
+    table["seed"] = [tables[number]["seed"].iloc[0] for number in order]
     in_order = tuple(observations[number] for number in order)
     return Reference(table, window_dataset(windows), in_order, tuple(notes), choices)
 

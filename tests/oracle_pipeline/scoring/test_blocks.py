@@ -2,10 +2,13 @@
 
 import pytest
 
+from oracle_pipeline import score
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.robots.robot import find_robots
 from oracle_pipeline.scoring.blocks import Origin, Start, blocks, origin_of
+from tests.manifests import rewrite
 from tests.oracle_pipeline.features.conftest import odometry, write_bag
+from tests.recorded_runs import copied
 
 HERE, THERE = Start(1.0, 2.0, 3.0, 0), Start(-1.0, 0.5, 0.0, 0)
 
@@ -40,6 +43,14 @@ def test_one_start_on_two_days_and_odometry_from_zero_tell_nothing(origin):
 def test_blocks_of_one_number_are_of_one_seed():
     runs = [Origin(seed, 3, f"house-{seed}", THERE) for seed in (7, 8)]
     assert blocks([*runs, runs[0]]) == [3, 1_000_003, 3]
+
+
+def test_a_run_of_another_seed_is_not_of_a_block_of_the_card(normal_card, recorded_run, tmp_path):
+    ours = recorded_run("fake_object")
+    theirs = copied(ours, tmp_path)
+    rewrite(theirs, lambda document: document.update(seed=document["seed"] + 1))
+    found = score([ours.path, theirs.path], normal_card, far=0.2).verdicts
+    assert [verdict.normal_blocks for verdict in found] == [4, 5]
 
 
 def test_a_drawn_world_or_a_start_in_one_world_is_one_block():
