@@ -122,7 +122,7 @@ def test_a_watch_has_no_writer_on_the_domain(domain, speaker, tmp_path):
 
 
 class Flood(threading.Thread):
-    """A robot that numbers its messages, and sends 5000 of them at once after the first ones."""
+    """A robot that numbers its messages, and sends 10,000 of them at once after the first ones."""
 
     def __init__(self, domain):
         super().__init__(daemon=True)
@@ -131,7 +131,7 @@ class Flood(threading.Thread):
 
     def run(self):
         self.until(self.heard.is_set)
-        self.send(5000)
+        self.send(10_000)  # whoever reads while they come, however fast, cannot keep all
         self.until(lambda: self.ended)
 
     def until(self, is_over):
@@ -140,10 +140,11 @@ class Flood(threading.Thread):
             time.sleep(0.05)
 
     def send(self, messages):
-        for _ in range(messages):
-            text = serialize(message_class(STRING)(str(self.number)), STRING)
+        numbers = range(self.number, self.number + messages)
+        texts = [serialize(message_class(STRING)(str(number)), STRING) for number in numbers]
+        for text in texts:
             self.robot.writers["talker", "/words"].write(text)
-            self.number += 1
+        self.number += messages
 
 
 @pytest.mark.slow
@@ -156,7 +157,7 @@ def test_every_message_is_recorded_or_counted_as_lost_and_timing_is_missing_then
                 numbers.append(int(typestore().deserialize_cdr(event.data, STRING).data))
                 if len(numbers) == 20:
                     flood.heard.set()
-                if numbers[-1] - numbers[0] > 5100:
+                if numbers[-1] - numbers[0] > 10_100:
                     watch.stop()
             notes += [event.text] if isinstance(event, Note) else []
     flood.ended = True
