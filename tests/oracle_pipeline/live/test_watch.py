@@ -131,7 +131,7 @@ class Flood(threading.Thread):
 
     def run(self):
         self.until(self.heard.is_set)
-        self.send(10_000)  # whoever reads while they come, however fast, cannot keep all
+        self.send(10_000)  # more than any reader can take while they come
         self.until(lambda: self.ended)
 
     def until(self, is_over):
