@@ -202,7 +202,7 @@ def _unsupported(blocks: int, size: int, far: float) -> str:
 
 def _judge_robot(extracted: isolation.Extracted, reference: CardSource) -> Verdict:
     recording, tables, seen, origin, faults = extracted
-    tables = tables._replace(run=tables.run.assign(seed=origin.seed))
+    tables = tables._replace(run=tables.run.assign(seed=str(origin.seed)))
     try:
         verdict = _scored(recording, tables, reference.card_for(tables.run), seen)
         notes = [note for note in tables.notes if note not in seen.losses]

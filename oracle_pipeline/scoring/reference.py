@@ -106,7 +106,7 @@ def _extracted(
     paths: Sequence[Path], manager: FeatureManager, choices: RoleChoices | None
 ) -> Reference:
     """Compute the features of recordings, and of all recordings below folders."""
-    tables, windows, observations, notes, origins = [], [], [], [], []
+    tables, windows, observations, seeds, notes, origins = [], [], [], [], [], []
     below = {path: list(recordings_below(path)) for path in paths}
     notes += [f"{path} holds no recording; it is left out." for path in below if not below[path]]
     recordings = list(dict.fromkeys(each for found in below.values() for each in found))
@@ -129,9 +129,10 @@ def _extracted(
             if not origin.has_manifest:
                 own = {"run_id": printable(recording), "label": "normal"}
                 both = FeatureTables(*(table.assign(**own) for table in both))
-            tables.append(both.run.assign(seed=origin.seed, block=len(origins) - 1))
+            tables.append(both.run.assign(block=len(origins) - 1))
             windows.append(both.windows.assign(block=len(origins) - 1))
             observations.append(observation)
+            seeds.append(str(origin.seed))
     if not tables:
         raise ScoringError(
             f"{join_first([str(path) for path in paths])} has no recording to compare with; check "
@@ -145,7 +146,7 @@ def _extracted(
     table = feature_dataset(tables)
     row = {run_id: number for number, run_id in enumerate(table["run_id"])}
     order = np.argsort([row[each["run_id"].iloc[0]] for each in tables])
-    table["seed"] = [tables[number]["seed"].iloc[0] for number in order]
+    table["seed"] = [seeds[number] for number in order]
     in_order = tuple(observations[number] for number in order)
     return Reference(table, window_dataset(windows), in_order, tuple(notes), choices)
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from oracle_pipeline import score
+from oracle_pipeline import learn, score
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.robots.robot import find_robots
 from oracle_pipeline.scoring.blocks import Origin, Start, blocks, origin_of
@@ -51,6 +51,16 @@ def test_a_run_of_another_seed_is_not_of_a_block_of_the_card(normal_card, record
     rewrite(theirs, lambda document: document.update(seed=document["seed"] + 1))
     found = score([ours.path, theirs.path], normal_card, far=0.2).verdicts
     assert [verdict.normal_blocks for verdict in found] == [4, 5]
+
+
+def test_a_card_takes_seeds_of_any_size(recorded_run, tmp_path):
+    runs = [copied(recorded_run("lidar_passthrough", number), tmp_path) for number in range(5)]
+    for run in runs:
+        rewrite(run, lambda document: document.update(seed=document["seed"] + 2**70))
+    card = tmp_path / "large.card"
+    learn([run.path for run in runs]).save(card)
+    (found,) = score([runs[0].path], card, far=0.2).verdicts
+    assert found.normal_blocks == 4
 
 
 def test_a_drawn_world_or_a_start_in_one_world_is_one_block():
