@@ -149,9 +149,9 @@ def observe(run: RunDirectory) -> Observation:
     """Return the interfaces of a run with a whole bag, as a contract compares them."""
     with fetched(run.path) as folder, open_run(folder) as opened:
         robot = only_robot(opened)
-        observer = Observer(robot.bag)
+        observer = Observer(robot)
         recording = KeptMessages.read(robot, (), see=observer.see)
-        return interfaces(observer, opened, robot, recording.clock)
+        return interfaces(observer, opened, robot, recording.clock, recording.times_ns)
 
 
 _INSPECTIONS = {

@@ -69,10 +69,6 @@ class _Row:
         self.values[column] = math.nan
         self.missing[column] = reason
 
-    def add_signals(self, table: SignalTable, span: Span, *, per_window: bool = False) -> None:
-        """Store the statistics of signals, without reasons for those that are missing."""
-        self.values |= table.values(span, per_window=per_window)
-
     def without_timing(self, features: Mapping[str, fp.Feature]) -> None:
         """Take out the features that say more about the recorder than about the robot."""
         for column in self.values:
@@ -106,18 +102,12 @@ def compute(
         return together([measure(run, manager, robot) for robot in robots])
 
 
-def extract(
-    run: OpenedRun,
-    manager: FeatureManager,
-    robot: Robot | None = None,
-    recording: KeptMessages | None = None,
-    signals: SignalCollector | None = None,
-) -> FeatureTables:
+def extract(run: OpenedRun, manager: FeatureManager, robot: Robot | None = None) -> FeatureTables:
     """Compute all features of one robot of a recording, as DataFrames.
 
     Like `measure`, including its errors.
     """
-    return measure(run, manager, robot, recording, signals).frames()
+    return measure(run, manager, robot).frames()
 
 
 @np.errstate(all="ignore")  # recordings hold NaN and infinity; features of them are missing
@@ -166,7 +156,7 @@ def measure(
     of_run.missing |= manager.broken
     table = SignalTable(signals.signals(recording.times_ns))
     fields |= _fields(table.features)
-    of_run.add_signals(table, whole)
+    of_run.values |= table.values(whole)  # without reasons for those that are missing
     if run.disturbances.cover(whole.start_s, whole.end_s):
         of_run.without_timing(manager.features() | table.features)
     own = [
@@ -296,7 +286,7 @@ class _Extraction:
         """Return the features of windows, one row per window."""
         rows = [self.row(span, per_window=True) for span in spans]
         for span, row in zip(spans, rows, strict=True):
-            row.add_signals(signals, span, per_window=True)
+            row.values |= signals.values(span, per_window=True)
             if self._run.disturbances.cover(span.start_s, span.end_s):
                 row.without_timing(self._features | signals.features)
         windowed = {c: f for c, f in self._features.items() if f.per_window} | signals.of_windows

@@ -13,20 +13,22 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, Self, TypeAlias
+from typing import Any, Literal, NamedTuple, Self, TypeAlias, TypeVar
 
 import numpy as np
 from rosbags.interfaces import Qos
 
 from oracle_pipeline.bags.graph_files import RosGraph
 from oracle_pipeline.bags.merging import Messages
-from oracle_pipeline.bags.reader import BagReader
-from oracle_pipeline.features.engine.timeline import Timeline
+from oracle_pipeline.bags.terminal import join_first
+from oracle_pipeline.features.engine.timeline import Stamps, Timeline
+from oracle_pipeline.features.signals.collector import SignalCollector
 from oracle_pipeline.graphs.intervals import compose
 from oracle_pipeline.opened_run import OpenedRun
 from oracle_pipeline.robots.known import Known
+from oracle_pipeline.robots.robot import Robot
 from oracle_pipeline.scoring.constants import LIKE, OR, Samples, is_of_transform, likes
-from oracle_pipeline.scoring.fingerprints import Fingerprints, Relays
+from oracle_pipeline.scoring.fingerprints import MESSAGES, Fingerprints, Relays, Repeats
 from oracle_pipeline.scoring.pace import FEWEST, SPAN_S, Pace, Stamped, merged_paces, paces
 from oracle_pipeline.scoring.parameters import PROCESS_SUFFIX, ReportedParameters
 
@@ -39,7 +41,7 @@ FEW = 2  # messages of a relay, or of a steady topic, that may differ beyond the
 COUNT_MARGIN = 0.1  # relative margin on message counts per `SPAN_S`, in addition to 2 messages
 ROUNDED = 1e-3  # relative difference up to which a constant number counts as rounded
 RARE = 0.01  # share of copies up to which all messages of a relay count as filtered
-REPLAYED, REPEATS = 10, 3  # messages in a row, beside so many times as many as usual, are replayed
+REPLAYED, REPEATS = 10, 3  # in a row, beside so many times as many as usual, are replayed
 _NUMBER = re.compile(r"(?<![\w'])-?\d+(?:\.\d*)?(?:e[+-]?\d+)?(?![\w'])")
 _ROUNDED = "the numbers differ by rounding"
 _FILTERED = "all messages are altered, as a filter does, and the features say how much"
@@ -50,8 +52,10 @@ Term: TypeAlias = Literal[
     "topic", "type", "qos", "rate", "constant", "copies", "repeats", "clock", "graph", "number",
     "robots", "parameter",
 ]  # fmt: skip
+_SETS = ("always", "ever", "unsteady", "changed")  # of the attributes of a contract
 NOTHING: Mapping[str, str] = MappingProxyType({})
 NO_PARAMETERS = ReportedParameters({}, frozenset())
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +110,8 @@ class Observation:
         Topic -> field that never changes -> its value as text.
     relays : mapping of str to mapping
         Topic -> source -> how many of the topic's messages are copies of the source's.
-    repeats : mapping of str to int
-        Topic -> length of the longest sequence of messages that came before; most differ.
+    repeats : mapping of str to mapping
+        Topic -> number, or `MESSAGES` -> length of the longest sequence that came before.
     losses : tuple of str
         What of the recording could not be read.
     whole : bool
@@ -131,7 +135,7 @@ class Observation:
     paces: Mapping[str, Pace] = field(default_factory=dict)
     constants: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     relays: Relays = field(default_factory=dict)
-    repeats: Mapping[str, int] = field(default_factory=dict)
+    repeats: Repeats = field(default_factory=dict)
     whole: bool = True
     losses: tuple[str, ...] = ()
     roles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -148,8 +152,8 @@ class Observer:
 
     Parameters
     ----------
-    bag : BagReader
-        The bag that is read.
+    robot : Robot
+        Whose bag is read.
     paced : bool
         Whether to measure paces and entropies too, which are needed of references only.
 
@@ -159,12 +163,15 @@ class Observer:
         Of the messages seen.
     fingerprints : Fingerprints
         Of the messages seen, to find relays and repeats.
+    signals : SignalCollector
+        Of the messages seen.
     """
 
-    def __init__(self, bag: BagReader, *, paced: bool = False) -> None:
-        self.samples = Samples(bag)
-        self.fingerprints = Fingerprints(bag)
-        self._bag = bag
+    def __init__(self, robot: Robot, *, paced: bool = False) -> None:
+        self.samples = Samples(robot.bag)
+        self.fingerprints = Fingerprints(robot.bag)
+        self.signals = SignalCollector(robot)
+        self._bag = robot.bag
         self._paced = paced
         self._seen: list[Stamped] = []
 
@@ -173,21 +180,31 @@ class Observer:
         for number, rows in batch.by_topic():
             self.samples.add(batch, number, rows)
             self.fingerprints.add(batch, number, rows)
+        self.signals.see(batch)
         if self._paced:
             self._seen.append(Stamped(batch.topics.astype(np.int16), batch.stamps_ns))
 
-    def observation(self, run: OpenedRun, clock: Timeline) -> Observation:
-        """Return the observation of the recording, once its bag was read; it has a clock."""
+    def observation(self, run: OpenedRun, clock: Timeline, times_ns: Stamps) -> Observation:
+        """Return the observation of the recording, once its bag was read.
+
+        Parameters
+        ----------
+        run : OpenedRun
+        clock : Timeline
+            Of the recording.
+        times_ns : ndarray of shape (n_messages,)
+            Of each message in the order of reading, since the start of the recording.
+        """
         duration_s = (clock.duration_ns - 1) * 1e-9
         topics = {
             name: (topic.msgtype, qos_words(topic.qos), _rate(topic.count, duration_s))
             for name, topic in self._bag.topics.items()
         }
         graph = graph_elements(compose(each.graph for each in run.intervals))
-        pace_of = paces(self._bag, self._seen)
         return Observation(
-            topics, graph if run.intervals else None, pace_of, self.samples.constants(),
-            self.fingerprints.relays(), self.fingerprints.repeats(),
+            topics, graph if run.intervals else None, paces(self._bag, self._seen),
+            self.samples.constants(), self.fingerprints.relays(),
+            self.fingerprints.repeats(self.signals.signals(times_ns)),
             not run.disturbances.loss(), tuple(run.bag.losses),
             parameters=self.samples.parameters(),
             entropies=self.samples.entropies() if self._paced else {},
@@ -216,8 +233,8 @@ class Contract:
         Parameter -> its value in all recordings that report it.
     changed : frozenset of str or None
         Parameters that were set during any recording; None if that is unknown.
-    repeats : dict of str to int
-        Topic -> length of the longest sequence of messages that came before in any recording.
+    repeats : dict of str to dict
+        Topic -> number, or `MESSAGES` -> longest sequence that came before in any recording.
     roles : dict of str to tuple of str
         Role -> topics that play it in any recording.
     steady_clock : bool
@@ -238,7 +255,7 @@ class Contract:
     steady_clock: bool = False
     unsteady: frozenset[str] = frozenset()
     robots: int = 1
-    repeats: Mapping[str, int] = field(default_factory=dict)
+    repeats: Repeats = field(default_factory=dict)
     parameters: Mapping[str, float | str] = field(default_factory=dict)
     changed: frozenset[str] | None = None
 
@@ -264,7 +281,7 @@ class Contract:
             _roles(observations),
             not any(seen.set_back for seen in observations),
             robots=min(seen.robots or 1 for seen in observations),
-            repeats={name: n for name in names if (n := _repeats(name, observations)) is not None},
+            repeats={name: usual for name in names if (usual := _repeats(name, observations))},
             parameters=_parameters(observations),
             changed=frozenset().union(*(seen.parameters.changed for seen in observations))
             if len(observations) >= FEWEST_RECORDINGS
@@ -299,7 +316,7 @@ class Contract:
                 if kind in terms.types and name in seen.constants:
                     found += self._of_constants(name, seen.constants[name])
                 found += self._of_relay(name, seen) if seen.whole else []
-                found += self._of_repeats(name, seen.repeats.get(name, 0))
+                found += self._of_repeats(name, seen.repeats.get(name, {}))
         for at_s, back_s in seen.set_back if self.steady_clock else ():
             when = f"The recorder's clock was set back by {back_s:.3g} s at {at_s:.2f} s"
             found.append(Breach("clock", f"{when}; in no normal recording it was.", "clock"))
@@ -363,11 +380,18 @@ class Contract:
                 breach = Breach(name, text, "copies")
                 yield _noted(breach, _FILTERED) if share <= RARE else breach
 
-    def _of_repeats(self, name: str, longest: int) -> Iterable[Breach]:
-        usual = self.repeats.get(name)
-        if usual is not None and longest >= REPLAYED + REPEATS * usual:
-            text = f"repeats {longest} of its messages in a row; in normal recordings at most"
-            yield Breach(name, f"Topic {name} {text} {usual}.", "repeats")
+    def _of_repeats(self, name: str, seen: Mapping[str, int]) -> Iterable[Breach]:
+        usual = self.repeats.get(name, {})
+        again = [
+            number
+            for number, longest in seen.items()
+            if number in usual and longest >= REPLAYED + REPEATS * usual[number]
+        ]
+        if again:
+            of = "its messages" if MESSAGES in again else join_first(again)
+            first = MESSAGES if MESSAGES in again else max(again, key=lambda each: seen[each])
+            text = f"repeats {seen[first]} of {of} in a row; in normal recordings at most"
+            yield Breach(name, f"Topic {name} {text} {usual[first]}.", "repeats")
 
     def _is_altered(self, name: str, source: str, seen: Observation) -> bool:
         """Return whether too few messages of a relay are copies of those of its source."""
@@ -406,31 +430,23 @@ class Contract:
     def to_dict(self) -> dict[str, Any]:
         """Return the contract as JSON-compatible values."""
         document = asdict(self)
-        sets = [key for key, value in document.items() if isinstance(value, frozenset)]
+        sets = [key for key in _SETS if document[key] is not None]
         return document | {key: sorted(document[key]) for key in sets}
 
     @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> Self:
+    def from_dict(cls, document: dict[str, Any]) -> Self:
         """Return the contract from the values of `to_dict`."""
         topics = {
             name: TopicTerms(**terms | {key: tuple(terms[key]) for key in ("types", "qos")})
             for name, terms in document["topics"].items()
         }
         pace_of = {name: Pace(*pace) for name, pace in document["paces"].items()}
+        roles = {role: tuple(topics) for role, topics in document["roles"].items()}
+        sets = [key for key in _SETS if document.get(key) is not None]  # 0.3.0 has two of them
         return cls(
-            topics,
-            frozenset(document["always"]),
-            frozenset(document["ever"]),
-            pace_of,
-            document["constants"],
-            document["relays"],
-            {role: tuple(topics) for role, topics in document["roles"].items()},
-            document["steady_clock"],
-            frozenset(document.get("unsteady", ())),  # cards of 0.3.0 have neither
-            document.get("robots", 1),
-            document.get("repeats", {}),
-            document.get("parameters", {}),
-            None if (changed := document.get("changed")) is None else frozenset(changed),
+            **document
+            | {key: frozenset(document[key]) for key in sets}
+            | {"topics": topics, "paces": pace_of, "roles": roles}
         )
 
 
@@ -453,11 +469,7 @@ def _constants(name: str, observations: Iterable[Observation]) -> dict[str, str 
 
     A transform has to be equal in all recordings, too: that of a localisation may rest in each.
     """
-    seen = [of.constants[name] for of in observations if name in of.constants]
-    if len(seen) < FEWEST_RECORDINGS:
-        return {}
-    fields = [path for path in seen[0] if all(path in each for each in seen)]
-    values = {path: [each[path] for each in seen] for path in fields}
+    values = _in_all([of.constants[name] for of in observations if name in of.constants])
     return {
         path: usual
         for path, texts in values.items()
@@ -485,20 +497,23 @@ def _new_value(now: str, usual: str) -> str:
 
 def _sources(name: str, observations: Iterable[Observation]) -> dict[str, float]:
     """Return the topics that a topic relays in every recording, and the lowest share of copies."""
-    seen = [of.relays[name] for of in observations if name in of.relays]
-    if len(seen) < FEWEST_RECORDINGS:
-        return {}
-    sources = [source for source in seen[0] if all(source in each for each in seen)]
-    lowest = {source: min(each[source].share for each in seen) for source in sources}
+    seen = _in_all([of.relays[name] for of in observations if name in of.relays])
+    lowest = {source: min(each.share for each in copies) for source, copies in seen.items()}
     return {source: share for source, share in lowest.items() if share >= MOSTLY}
 
 
-def _repeats(name: str, observations: Sequence[Observation]) -> int | None:
-    """Return the most messages that a topic repeats in a row; None where too few differ."""
-    seen = [of.repeats.get(name) for of in observations if name in of.topics]
-    known = [longest for longest in seen if longest is not None]
-    is_known = FEWEST_RECORDINGS <= len(known) == len(seen)
-    return max(known) if is_known else None
+def _repeats(name: str, observations: Iterable[Observation]) -> dict[str, int]:
+    """Return what a topic repeats at most in a row, where it differs enough in each recording."""
+    seen = _in_all([of.repeats.get(name, {}) for of in observations if name in of.topics])
+    return {number: max(lengths) for number, lengths in seen.items()}
+
+
+def _in_all(seen: Sequence[Mapping[str, T]]) -> dict[str, list[T]]:
+    """Return the values of what each of enough recordings has."""
+    if len(seen) < FEWEST_RECORDINGS:
+        return {}
+    keys = [key for key in seen[0] if all(key in each for each in seen)]
+    return {key: [each[key] for each in seen] for key in keys}
 
 
 def _parameters(observations: Sequence[Observation]) -> dict[str, float | str]:
@@ -534,15 +549,13 @@ def _of_topic(name: str, terms: TopicTerms, kind: str, qos: Sequence[str]) -> li
     return found
 
 
-def _of_rate(
-    name: str, terms: TopicTerms, rate_hz: float | None, duration_s: float
-) -> list[Breach]:
+def _of_rate(name: str, terms: TopicTerms, rate_hz: float | None, span_s: float) -> list[Breach]:
     if terms.lowest_hz is None or terms.highest_hz is None:
         return []
-    spread_hz = terms.highest_hz - terms.lowest_hz + FEW / duration_s
+    spread_hz = terms.highest_hz - terms.lowest_hz + FEW / span_s
     lowest_hz = terms.lowest_hz * (1.0 - MARGIN) - spread_hz
     highest_hz = terms.highest_hz * (1.0 + MARGIN) + spread_hz
-    too_few = rate_hz is None and lowest_hz * duration_s < FEWEST
+    too_few = rate_hz is None and lowest_hz * span_s < FEWEST
     if too_few or lowest_hz <= (rate_hz or 0.0) <= highest_hz:
         return []
     usual = " to ".join(dict.fromkeys(f"{hz:.3g}" for hz in (terms.lowest_hz, terms.highest_hz)))

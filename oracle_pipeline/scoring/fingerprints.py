@@ -3,13 +3,13 @@
 A relay, a multiplexer or a filter that lets messages pass republishes what it receives. A program
 that alters messages on the way leaves them similar, and few features compare topics of any type.
 
-Noise makes the messages of a sensor differ. A sequence of them that comes again was recorded and
-replayed, even if it fits what else happens.
+Noise makes the messages of a sensor differ, and each number in them. A sequence of them that comes
+again was recorded and replayed, even if it fits what else happens.
 """
 
 from array import array
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -19,11 +19,15 @@ from scipy.sparse import csr_array
 from oracle_pipeline.bags.merging import Messages, Rows
 from oracle_pipeline.bags.reader import BagReader
 from oracle_pipeline.features.engine.message_layout import MessageLayout
+from oracle_pipeline.features.signals.collector import PERIOD, Signals
 from oracle_pipeline.scoring.pace import FEWEST
 
 MOST_TOPICS = 500  # of a type that are compared
 MOST_MESSAGES = 1_000_000  # of a topic, and of all topics of a type, that are compared
-DIFFERENT = 50  # messages of a topic that must differ; states and texts repeat by themselves
+MESSAGES = ""  # stands for whole messages, where others are names of numbers
+DIFFERENT = 50  # messages or numbers that must differ; states and texts repeat by themselves
+ROUNDING = 8  # spacings of floats at the largest value; smaller differences are rounding errors
+FINE = 10  # of a number whose steps vary: median over least difference between two steps
 _STAMP_ENDS = 12  # bytes of a message up to the end of its header's stamp
 
 
@@ -40,6 +44,7 @@ class Copies(NamedTuple):
 
 
 Relays: TypeAlias = Mapping[str, Mapping[str, Copies]]
+Repeats: TypeAlias = Mapping[str, Mapping[str, int]]
 
 
 class Fingerprints:
@@ -89,13 +94,23 @@ class Fingerprints:
                     }
         return found
 
-    def repeats(self) -> dict[str, int]:
-        """Return how many messages each topic repeats in a row, if enough of them differ."""
-        return {
-            self._names[number]: longest_repeat(hashes)
-            for number, hashes in self._hashes.items()
-            if len(set(hashes)) >= DIFFERENT
-        }
+    def repeats(self, signals: Iterable[Signals]) -> dict[str, dict[str, int]]:
+        """Return what repeats how much in a row, if it varies enough: topic -> number -> length.
+
+        Parameters
+        ----------
+        signals : iterable of Signals
+            Of the bag.
+        """
+        found = defaultdict[str, dict[str, int]](dict)
+        for number, hashes in self._hashes.items():
+            if len(set(hashes)) >= DIFFERENT:
+                found[self._names[number]][MESSAGES] = longest_repeat(hashes)
+        for each in signals:
+            for name, values in zip(each.names, each.values.T, strict=True):
+                if name != PERIOD and _varies(values):
+                    found[each.topic][name] = longest_repeat(values)
+        return dict(found)
 
     def _of_one_type(self) -> Iterator[list[int]]:
         """Yield the topics of each type that has several."""
@@ -117,6 +132,16 @@ class Fingerprints:
         return later > 0.0 or (later == 0.0 and self._names[source] < self._names[topic])
 
 
+def _varies(values: NDArray[np.float64]) -> bool:
+    """Return whether enough values differ, and their steps; rounded ones and ramps come again."""
+    values = values[np.isfinite(values)]
+    if len(np.unique(values)) < DIFFERENT:
+        return False
+    steps = np.abs(np.diff(values, n=2))
+    steps = steps[steps > ROUNDING * np.spacing(np.abs(values).max())]
+    return len(steps) > 0 and bool(np.median(steps) >= FINE * steps.min())
+
+
 def longest_repeat(contents: ArrayLike) -> int:
     """Return the length of the longest sequence that repeats the one at some earlier place.
 
@@ -126,7 +151,7 @@ def longest_repeat(contents: ArrayLike) -> int:
     Parameters
     ----------
     contents : array_like of shape (n,)
-        One number for each message; equal ones stand for equal messages.
+        Numbers, or one for each message, where equal ones stand for equal messages.
 
     Examples
     --------
@@ -134,7 +159,7 @@ def longest_repeat(contents: ArrayLike) -> int:
     (3, 2)
     """
     values = np.asarray(contents)
-    values = values[np.diff(values, prepend=values[:1] - 1) != 0]
+    values = np.delete(values, np.flatnonzero(values[1:] == values[:-1]))
     order = np.argsort(values, kind="stable")
     again = values[order[1:]] == values[order[:-1]]
     earlier = np.full(len(values), -1)

@@ -23,13 +23,12 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from oracle_pipeline.bags.errors import BagError, OracleError
-from oracle_pipeline.bags.merging import Messages
 from oracle_pipeline.bags.processes import FINDS_OURS
 from oracle_pipeline.bags.terminal import progress_bar
 from oracle_pipeline.bags.worker import Worker, WorkerDied
-from oracle_pipeline.features import FeatureManager, FeatureTables, build_manager, extract
+from oracle_pipeline.features import FeatureManager, FeatureTables, build_manager, measure
 from oracle_pipeline.features.engine.kept_messages import KeptMessages
-from oracle_pipeline.features.engine.timeline import Timeline
+from oracle_pipeline.features.engine.timeline import Stamps, Timeline
 from oracle_pipeline.features.manager import FOLDER_VARIABLE
 from oracle_pipeline.features.signals.collector import SignalCollector
 from oracle_pipeline.opened_run import OpenedRun, open_run
@@ -144,37 +143,33 @@ def extracted(
 def _of_robot(
     path: str, run: OpenedRun, robot: Robot, manager: FeatureManager, reading: Reading
 ) -> Extracted:
-    observer = Observer(robot.bag, paced=reading.paced)
-    tables, clock, faults = _tables(run, robot, manager, observer, reading.check)
-    seen = interfaces(observer, run, robot, clock)
+    observer = Observer(robot, paced=reading.paced)
+    tables, faults, clock, times_ns = _tables(run, robot, manager, observer, reading.check)
+    seen = interfaces(observer, run, robot, clock, times_ns)
     origin = origin_of(run, robot, starts=reading.paced)
     return Extracted(of_robot(path, robot.name), tables, seen, origin, faults)
 
 
-def interfaces(observer: Observer, run: OpenedRun, robot: Robot, clock: Timeline) -> Observation:
+def interfaces(
+    observer: Observer, run: OpenedRun, robot: Robot, clock: Timeline, times_ns: Stamps
+) -> Observation:
     """Return what was observed of the only robot of a recording, with the roles of its topics."""
     roles = {role: found.topics for role, found in robot.roles.found.items() if found.topics}
-    seen = observer.observation(run, clock)
+    seen = observer.observation(run, clock, times_ns)
     return replace(seen, roles=roles, instead=robot.instead, robots=1)
 
 
 def _tables(
     run: OpenedRun, robot: Robot, manager: FeatureManager, observer: Observer, check: Check | None
-) -> tuple[FeatureTables, Timeline, Sequence[str]]:
-    """Return the features of one robot, the clock of its recording, and its faults.
+) -> tuple[FeatureTables, Sequence[str], Timeline, Stamps]:
+    """Return the features of one robot and its faults, the clock, and the times of messages.
 
     What was kept of the messages is freed before the observation is made.
     """
-    signals = SignalCollector(robot)
-
-    def see(batch: Messages) -> None:
-        observer.see(batch)
-        signals.see(batch)
-
-    recording = KeptMessages.read(robot, manager.plugins, see=see)
-    tables = extract(run, manager, robot, recording, signals)
-    faults = check(recording, signals) if check else ()
-    return tables, recording.clock, faults
+    recording = KeptMessages.read(robot, manager.plugins, see=observer.see)
+    tables = measure(run, manager, robot, recording, observer.signals).frames()
+    faults = check(recording, observer.signals) if check else ()
+    return tables, faults, recording.clock, recording.times_ns
 
 
 def run_isolated(work: Callable[[Path], T], path: Path, limits: Limits = DEFAULT_LIMITS) -> T:

@@ -18,6 +18,7 @@ from oracle_pipeline.robots.robot import Robot
 from oracle_pipeline.robots.roles import is_static
 
 MOST_SIGNALS = 4096  # of a recording; a PX4 log has about 2,000
+PERIOD = "period"  # name of a signal: the time between the messages of a topic
 CUT = f"The recording has more than {MOST_SIGNALS} signals"  # begins a note
 MOST_BYTES = 32 * 2**20  # of the messages of a topic that are decoded; the others are passed over
 MOST_MESSAGES = 200_000  # of a topic that are decoded
@@ -220,7 +221,7 @@ def _joined(parts: list[Numbers]) -> Iterator[Numbers]:
 def _periods(topic: str, times_ns: NDArray[np.int64]) -> Signals:
     """Return the time between the messages of a topic as a signal [s]."""
     in_order = np.sort(times_ns)
-    return Signals(topic, ("period",), ("s",), in_order[1:], np.diff(in_order)[:, None] * 1e-9)
+    return Signals(topic, (PERIOD,), ("s",), in_order[1:], np.diff(in_order)[:, None] * 1e-9)
 
 
 def _adjacent(of_topic: Rows, chosen: Rows) -> Adjacent:

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracle_pipeline.features.engine.timeline import Timeline
+from oracle_pipeline.features.extraction import only_robot
 from oracle_pipeline.opened_run import open_run
 from oracle_pipeline.scoring.contract import FEWEST_RECORDINGS, Contract, Observation, Observer
 from oracle_pipeline.scoring.fingerprints import Copies
@@ -285,15 +286,17 @@ def test_a_topic_with_few_messages_in_a_normal_recording_has_no_pace():
 
 def test_a_recording_shows_the_pace_of_its_topics(recorded_run):
     with open_run(recorded_run("lidar_passthrough").path) as run:
-        paced, unpaced = Observer(run.bag, paced=True), Observer(run.bag)
-        for batch in run.bag.batches():
+        robot = only_robot(run)
+        paced, unpaced = Observer(robot, paced=True), Observer(robot)
+        batches = list(run.bag.batches())
+        for batch in batches:
             paced.see(batch)
-        for batch in run.bag.batches(unpaced.samples.taken):
             unpaced.see(batch)
         clock = Timeline((0,), (run.bag.start_ns,), (run.bag.end_ns,))
-        observation = paced.observation(run, clock)
+        times_ns = np.concatenate([batch.stamps_ns for batch in batches])
+        observation = paced.observation(run, clock, times_ns)
         unrequested = replace(observation, paces={}, entropies={})
-        assert unrequested == unpaced.observation(run, clock)
+        assert unrequested == unpaced.observation(run, clock, times_ns)
         seen, entropies = observation.paces, observation.entropies
     assert seen["/scan"].longest_gap_s == pytest.approx(0.2, abs=0.1)
     assert 49 <= seen["/scan"].fewest <= seen["/scan"].most <= 51
