@@ -8,13 +8,13 @@ runs from the rates.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from oracle_pipeline.evaluation.clustering_result import in_words
 from oracle_pipeline.evaluation.metrics import Confusion, decode_thesis_row
-
-RUNS = 15  # of each of the six modes, half of which are attacked
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class ThesisFigure:
     recall: float  # printed as "accuracy"
     auc: float
     source: str
-    runs: int = 3 * RUNS  # distinct ones of each class
+    runs: int  # distinct ones of each class
 
     @property
     def fpr(self) -> float:
@@ -58,49 +58,26 @@ NO_FIGURE: dict[str, float | str] = {
 #: Threshold of the thesis's code for each linkage, under either criterion (appendix A, cluster.py).
 THRESHOLD = {"ward": 2.0, "single": 4.0, "complete": 4.0, "average": 4.0}
 
-#: Table 5.1 by linkage and criterion. The last two rows look swapped; they are kept as printed.
-GRID = {
-    key: ThesisFigure(recall, auc, "Table 5.1")
-    for key, recall, auc in (
-        (("ward", "distance"), 0.029, 0.514),
-        (("ward", "maxclust"), 0.953, 0.498),
-        (("single", "distance"), 0.027, 0.513),
-        (("single", "maxclust"), 0.924, 0.484),
-        (("complete", "distance"), 0.027, 0.513),
-        (("complete", "maxclust"), 0.924, 0.484),
-        (("average", "distance"), 0.924, 0.484),
-        (("average", "maxclust"), 0.027, 0.513),
-    )
-}
+_OF_FIGURE = ("recall", "auc", "source", "runs")
+_PRINTED = pd.read_csv(
+    Path(__file__).with_name("thesis_figures.csv"), comment="#", keep_default_na=False, dtype="str"
+).astype({"recall": "float", "auc": "float", "runs": "int"})
 
+
+def _figures(source: str) -> dict[tuple[str, str], ThesisFigure]:
+    """Return the results of a table, or of sections, by row and column."""
+    printed = _PRINTED[_PRINTED["source"].str.startswith(source)].to_dict("records")
+    return {
+        (each["row"], each["column"]): ThesisFigure(**{name: each[name] for name in _OF_FIGURE})
+        for each in printed
+    }
+
+
+#: Table 5.1 by linkage and criterion.
+GRID = _figures("Table 5.1")
 #: Table 6.1 by share of malicious rows.
-RATES = {
-    rate: ThesisFigure(recall, auc, "Table 6.1")
-    for rate, recall, auc in (
-        (0.1, 0.941, 0.496),
-        (0.3, 0.953, 0.504),
-        (0.5, 0.924, 0.490),
-        (0.7, 0.970, 0.502),
-        (0.9, 0.971, 0.506),
-    )
-}
-
+RATES = {float(rate): figure for (rate, _), figure in _figures("Table 6.1").items()}
 #: Sections 6.2 to 6.4 by features used, all six modes.
-FAMILIES = {
-    "all": ThesisFigure(0.953, 0.504, "Section 6.2"),
-    "structural": ThesisFigure(0.781, 0.711, "Section 6.4"),
-    "contextual": ThesisFigure(0.953, 0.499, "Section 6.3"),
-}
-
+FAMILIES = {features: figure for (features, _), figure in _figures("Section").items()}
 #: Table 6.2 by attacked mode and features used; contextual features alone are not reported.
-PAIRWISE = {
-    key: ThesisFigure(recall, auc, "Table 6.2", runs=RUNS)
-    for key, recall, auc in (
-        (("random_noise", "all"), 0.938, 0.533),
-        (("random_noise", "structural"), 1.0, 0.9669),
-        (("fake_object", "all"), 0.934, 0.4672),
-        (("fake_object", "structural"), 1.0, 1.0),
-        (("delayed_fakeobject", "all"), 0.866, 0.4662),
-        (("delayed_fakeobject", "structural"), 0.664, 0.8318),
-    )
-}
+PAIRWISE = _figures("Table 6.2")
