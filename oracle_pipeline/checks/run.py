@@ -17,7 +17,7 @@ CHECKS: Mapping[str, Callable[[CheckedTopic], Iterator[Fault]]] = {
     "gap": times.gaps, "late_burst": times.late_bursts, "stamp": times.stamps,
     "stuck": values.stuck, "jump": values.jumps, "saturation": values.saturation,
     "limit": values.limits, "not_finite": values.not_finite, "quaternion": values.rotations,
-    "counter": values.counters,  # and "lost"
+    "replay": values.replays, "counter": values.counters,  # and "lost"
 }  # fmt: skip
 _FEWEST_TOPICS = 3  # a gap in these may be one of the recording
 _MOST_NOTED = 5  # faults that are noted beside a verdict

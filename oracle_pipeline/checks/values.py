@@ -21,9 +21,11 @@ from oracle_pipeline.checks.topic import (
 )
 from oracle_pipeline.features.signals.units import of_fields, period_of
 from oracle_pipeline.logs.recording import MADE_TYPES
+from oracle_pipeline.scoring.fingerprints import repeated_numbers
 
 _STUCK_MESSAGES, _STUCK_S = 10, 1.0  # a stuck stretch has both
 _LONGER = 10.0  # so many times longer than any other stretch of equal numbers
+_REPLAYED = 20  # values in the order of before; of 2,569 numbers of real robots, none has 5
 _VELOCITIES = ("m/s", "rad/s")
 _MOTION = ("nav_msgs/", "geometry_msgs/", "tf2_msgs/", "ackermann_msgs/", "sensor_msgs/msg/Joint")
 _PLACES = ("x", "y", "z", "latitude", "longitude")
@@ -79,6 +81,21 @@ def _long(found: NDArray[np.int64], times_s: Floats) -> NDArray[np.int64]:
 def _moves(lively: list[CheckedSignal], row: int) -> bool:
     """Return whether the robot has a velocity at a message."""
     return any(s.unit in _VELOCITIES and abs(s.values[row]) > 1e-3 for s in lively)
+
+
+def replays(topic: CheckedTopic) -> Iterator[Fault]:
+    """Find measurements that come again in the order of before: a recording of them is replayed.
+
+    Numbers that are rounded to few values, or that change evenly, are not compared.
+    """
+    numbers = () if topic.is_command else repeated_numbers(topic.signals)
+    again = {name: of.times_ns[rows] for of, name, rows in numbers if len(rows) >= _REPLAYED}
+    if again:
+        spans = np.array([times_ns[[0, -1]] for times_ns in again.values()]) / 1e9
+        yield worst(
+            "replay", topic.name, "", spans, spans[:, 1] - spans[:, 0], "s",
+            f"{join_first(list(again))} come again as before for {{size}} s from {{at}} on",
+        )  # fmt: skip
 
 
 def jumps(topic: CheckedTopic) -> Iterator[Fault]:

@@ -48,7 +48,7 @@ from oracle_pipeline.scoring.measured_runs import MeasuredRuns
 from oracle_pipeline.scoring.run_scorer import BEYOND, Design, RunScorer
 from oracle_pipeline.scoring.verdict import CardOrigin
 
-VERSION = 9  # of the card format and of the windowing it was learned with
+VERSION = 10  # of the card format and of the windowing it was learned with
 SUFFIX = ".card"
 _FACTS, _RUNS, _MODELS = "card.json", "runs.parquet", "models.parquet"
 _WINDOWS = "windows.parquet"

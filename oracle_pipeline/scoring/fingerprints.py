@@ -10,6 +10,7 @@ again was recorded and replayed, even if it fits what else happens.
 from array import array
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
+from operator import itemgetter
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -105,11 +106,9 @@ class Fingerprints:
         found = defaultdict[str, dict[str, int]](dict)
         for number, hashes in self._hashes.items():
             if len(set(hashes)) >= DIFFERENT:
-                found[self._names[number]][MESSAGES] = longest_repeat(hashes)
-        for each in signals:
-            for name, values in zip(each.names, each.values.T, strict=True):
-                if name != PERIOD and _varies(values):
-                    found[each.topic][name] = longest_repeat(values)
+                found[self._names[number]][MESSAGES] = len(longest_repeat(hashes))
+        for each, name, rows in repeated_numbers(signals):
+            found[each.topic][name] = len(rows)
         return dict(found)
 
     def _of_one_type(self) -> Iterator[list[int]]:
@@ -132,6 +131,14 @@ class Fingerprints:
         return later > 0.0 or (later == 0.0 and self._names[source] < self._names[topic])
 
 
+def repeated_numbers(signals: Iterable[Signals]) -> Iterator[tuple[Signals, str, Rows]]:
+    """Yield each number that varies enough: where it is, its name, and the rows that it repeats."""
+    for each in signals:
+        for name, values in zip(each.names, each.values.T, strict=True):
+            if name != PERIOD and _varies(values):
+                yield each, name, longest_repeat(values)
+
+
 def _varies(values: NDArray[np.float64]) -> bool:
     """Return whether enough values differ, and their steps; rounded ones and ramps come again."""
     values = values[np.isfinite(values)]
@@ -142,8 +149,8 @@ def _varies(values: NDArray[np.float64]) -> bool:
     return len(steps) > 0 and bool(np.median(steps) >= FINE * steps.min())
 
 
-def longest_repeat(contents: ArrayLike) -> int:
-    """Return the length of the longest sequence that repeats the one at some earlier place.
+def longest_repeat(contents: ArrayLike) -> Rows:
+    """Return the rows of the longest sequence that repeats the one at some earlier place.
 
     Equal messages in a row count once. What is between the repeated messages does not end a
     sequence, and no sequence repeats itself, as two states that alternate would.
@@ -156,10 +163,11 @@ def longest_repeat(contents: ArrayLike) -> int:
     Examples
     --------
     >>> longest_repeat([1, 2, 3, 4, 9, 2, 3, 8, 4, 5]), longest_repeat([1, 2, 1, 2, 1, 2])
-    (3, 2)
+    (array([5, 6, 8]), array([2, 3]))
     """
     values = np.asarray(contents)
-    values = np.delete(values, np.flatnonzero(values[1:] == values[:-1]))
+    rows = np.delete(np.arange(len(values)), np.flatnonzero(values[1:] == values[:-1]))
+    values = values[rows]
     order = np.argsort(values, kind="stable")
     again = values[order[1:]] == values[order[:-1]]
     earlier = np.full(len(values), -1)
@@ -167,8 +175,9 @@ def longest_repeat(contents: ArrayLike) -> int:
     (repeated,) = np.nonzero(earlier >= 0)
     earlier = earlier[repeated]
     (begins,) = np.nonzero(np.diff(earlier, prepend=-2) != 1)
-    lengths = np.diff(begins, append=len(repeated))
-    return int(np.minimum(lengths, (repeated - earlier)[begins]).max(initial=0))
+    lengths = np.minimum(np.diff(begins, append=len(repeated)), (repeated - earlier)[begins])
+    begin, length = max(zip(begins, lengths, strict=True), key=itemgetter(1), default=(0, 0))
+    return rows[repeated[begin : begin + length]]
 
 
 def _occurrences(hashes: "list[array[int]]") -> "csr_array[np.int64]":
