@@ -154,6 +154,7 @@ def measure(
             for plugin in manager.thesis:
                 fields |= extraction.add_thesis_columns(of_run, plugin, whole, messages)
     of_run.missing |= manager.broken
+    spans = window_spans(recording)  # before the signals take memory
     table = SignalTable(signals.signals(recording.times_ns))
     fields |= _fields(table.features)
     of_run.values |= table.values(whole)  # without reasons for those that are missing
@@ -168,7 +169,7 @@ def measure(
     )  # fmt: skip
     return RecordingFeatures(
         _table(_keys(run, robot), {}, of_run.values, [of_run], fields),
-        extraction.windows(_keys(run, robot), window_spans(recording), table),
+        extraction.windows(_keys(run, robot), spans, table),
         notes,
     )
 

@@ -9,13 +9,11 @@ import argparse
 import functools
 import multiprocessing
 import os
-import resource
 import sqlite3
 import struct
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -28,7 +26,8 @@ from rosbags.typesys.store import Typestore
 from oracle_pipeline.bags.errors import OracleError
 from oracle_pipeline.bags.mcap import MAGIC
 from oracle_pipeline.bags.types import definition, message_class, serialize
-from oracle_pipeline.scoring.isolation import WIDE_LIMITS, extracted, run_isolated
+from oracle_pipeline.scoring.isolation import WIDE_LIMITS, run_isolated
+from tools.soak.peak_memory import peak_mib
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -58,11 +57,11 @@ def main() -> None:
             maker.join()
             size = path.stat().st_size / 1e6
             print(f"{name:<12}{size:>7.1f} MB on disk", end="", flush=True)
-            peak_mib, code = measured(path)
+            features_mib, code = measured(path)
             scored_mib, outcome = scored(path)
-            missed = "  MISSED" if max(peak_mib, scored_mib) > GOAL_MIB else ""
+            missed = "  MISSED" if max(features_mib, scored_mib) > GOAL_MIB else ""
             print(
-                f"{peak_mib:>6.0f} MiB peak, exit code {code};{scored_mib:>6.0f} MiB in the "
+                f"{features_mib:>6.0f} MiB peak, exit code {code};{scored_mib:>6.0f} MiB in the "
                 f"process of a score, {outcome}{missed}",
                 flush=True,
             )
@@ -83,15 +82,9 @@ def measured(path: Path) -> tuple[float, int]:
 def scored(path: Path) -> tuple[float, str]:
     """Return the peak memory of the process that reads a recording for a score [MiB]."""
     try:
-        return run_isolated(_peak_mib, path, WIDE_LIMITS), "read"
+        return run_isolated(peak_mib, path, WIDE_LIMITS), "read"
     except OracleError as error:
         return 0.0, str(error)
-
-
-def _peak_mib(path: Path) -> float:
-    with suppress(OracleError):  # a refused recording takes memory, too
-        extracted(path)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def scans(path: Path, size: int) -> None:

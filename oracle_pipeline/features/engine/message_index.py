@@ -86,8 +86,11 @@ class MessageIndex:
     def arrivals(self, topic: int, msgtype: str) -> tuple[Integers, TopicArrivals]:
         """Return the times of a topic's messages [ns], and the same for plugins."""
         rows = self._rows[topic]
-        rows = rows[np.argsort(self.times_ns[rows], kind="stable")]
-        times_ns, stamps_ns = self.times_ns[rows], self._header_stamp_ns[rows]
+        times_ns = self.times_ns[rows]
+        if (times_ns[1:] < times_ns[:-1]).any():  # seldom; sorting takes time and memory
+            order = np.argsort(times_ns, kind="stable")
+            rows, times_ns = rows[order], times_ns[order]
+        stamps_ns = self._header_stamp_ns[rows]
         if (stamps_ns == HeaderStamps.NONE).any():
             stamps_ns = _NONE.copy()
         columns = times_ns / 1e9, self._size[rows], stamps_ns

@@ -149,7 +149,7 @@ class SignalCollector:
         self.notes: list[str] = []
         self._names = list(bag.topics)
         self._first = 0  # number of the next batch's first message
-        self._numbers: dict[int, list[Rows]] = {}  # of the messages of each topic
+        self._numbers: dict[int, list[NDArray[np.uint32]]] = {}  # of each topic's messages
         self._topics: dict[int, _Topic] = {}
         for number, topic in enumerate(bag.topics.values()):
             if topic.name not in chosen or topic.msgtype.startswith(_OF_THE_MIDDLEWARE):
@@ -160,7 +160,8 @@ class SignalCollector:
     def see(self, batch: Messages) -> None:
         """Take the numbers of the next messages of the bag."""
         for number, rows in batch.by_topic():
-            self._numbers.setdefault(number, []).append(self._first + rows)
+            # Half the memory of what may be millions.
+            self._numbers.setdefault(number, []).append((self._first + rows).astype(np.uint32))
             if number in self._topics:
                 self._topics[number].add(batch, rows, self._first)
         self._first += len(batch.topics)
@@ -188,7 +189,7 @@ class SignalCollector:
                         signals = signals._replace(adjacent=_adjacent(rows, numbers.rows))
                     found.append(signals)
                     left -= len(signals.names)
-            found.append(_periods(name, times_ns[rows]))
+            found.append(_periods(name, np.sort(times_ns[rows])))
         if topics := list(dict.fromkeys(cut)):
             self.notes.append(f"{CUT}; some of {join_first(topics)} are left out.")
         return sorted(found, key=lambda signals: signals.topic)
@@ -218,13 +219,12 @@ def _joined(parts: list[Numbers]) -> Iterator[Numbers]:
         yield Numbers(tuple(names), units, rows, np.concatenate(values), stamps_s)
 
 
-def _periods(topic: str, times_ns: NDArray[np.int64]) -> Signals:
+def _periods(topic: str, in_order: NDArray[np.int64]) -> Signals:
     """Return the time between the messages of a topic as a signal [s]."""
-    in_order = np.sort(times_ns)
     return Signals(topic, (PERIOD,), ("s",), in_order[1:], np.diff(in_order)[:, None] * 1e-9)
 
 
-def _adjacent(of_topic: Rows, chosen: Rows) -> Adjacent:
+def _adjacent(of_topic: NDArray[np.uint32], chosen: Rows) -> Adjacent:
     """Return which of the chosen messages of a topic came right after another; None if few."""
     adjacent = np.diff(np.searchsorted(of_topic, chosen), prepend=-2) == 1
     return adjacent if adjacent.mean() > _PAIRED else None

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle_pipeline.datasets import LAG, MINUS
-from oracle_pipeline.features.signals.collector import Floats, Signals
+from oracle_pipeline.features.signals.collector import PERIOD, Floats, Signals
 
 FEWEST = 10  # numbers with a lag
 STEADY = 1e-6  # share of the squared rates of a command: one that changes less tells no lag
@@ -81,7 +81,7 @@ def control_errors(prepared: Sequence[Prepared]) -> list[Prepared]:
 
 
 def _numbers(signals: Signals, periods: Floats) -> Iterator[_Number]:
-    if signals.names == ("period",) or not len(signals.times_ns):
+    if signals.names == (PERIOD,) or not len(signals.times_ns):
         return
     of_topic, topic = _words(signals.topic.replace("/_action/", "/"))
     for column, name in enumerate(signals.names):

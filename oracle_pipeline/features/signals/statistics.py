@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from oracle_pipeline.datasets import SIGNALS, is_lag
 from oracle_pipeline.features.engine.plugin import Feature
 from oracle_pipeline.features.engine.spans import Span
-from oracle_pipeline.features.signals.collector import Adjacent, Floats, Signals
+from oracle_pipeline.features.signals.collector import PERIOD, Adjacent, Floats, Signals
 from oracle_pipeline.features.signals.control_errors import control_errors
 from oracle_pipeline.features.signals.rate_errors import rate_errors
 from oracle_pipeline.features.signals.units import period_of
@@ -93,6 +93,8 @@ def _as_they_are(signals: Signals) -> tuple[Signals, Floats]:
 
     What stands still has a level, too: it may be a number of things.
     """
+    if signals.names == (PERIOD,):
+        return signals, np.zeros(1)  # no copy of what may be millions
     found: list[tuple[str, str, Floats, float]] = []
     for name, unit, column in zip(signals.names, signals.units, signals.values.T, strict=True):
         numbers = column[np.isfinite(column)]
@@ -146,7 +148,9 @@ def _statistics(values: Floats, adjacent: Adjacent, *, of_run: bool) -> Floats:
     finite = np.isfinite(values)
     found[-1] = 1.0 - finite.mean(axis=0)
     whole = finite.all(axis=0)
-    found[:-1, whole] = _of_finite(values[:, whole], adjacent, of_run)
+    # One column may have millions of numbers. Of several, a copy is faster to sum.
+    chosen = values if finite.all() and values.shape[1] == 1 else values[:, whole]
+    found[:-1, whole] = _of_finite(chosen, adjacent, of_run)
     for j in np.flatnonzero(~whole & finite.any(axis=0)).tolist():
         rows = finite[:, j]
         near = None if adjacent is None else adjacent[rows]
@@ -165,10 +169,13 @@ def _of_finite(values: Floats, adjacent: Adjacent, of_run: bool) -> Floats:
     if len(values) < FEWEST:
         ends = [low, high] if len(values) > 1 else [unknown] * 2
         return np.stack([mean, unknown, *ends, *[unknown] * 3])
-    steps, centred = values[1:] - values[:-1], values - mean
-    squares = (centred * centred).mean(axis=0)
     near = slice(None) if adjacent is None else adjacent[1:]
-    deviation, change = np.sqrt(squares), np.abs(steps[near]).mean(axis=0)
+    steps = values[1:] - values[:-1]
+    change = np.abs(steps[near]).mean(axis=0)
+    held = np.array([*_held(steps)]) if of_run else unknown
+    del steps  # of millions, before as many more are made
+    centred = values - mean
+    deviation = np.sqrt(squares := (centred * centred).mean(axis=0))
     is_constant = deviation <= ROUNDING * np.maximum(np.abs(low), np.abs(high))
     spread, changes = np.where(is_constant, 0.0, [deviation, change])
     if not of_run:
@@ -176,7 +183,6 @@ def _of_finite(values: Floats, adjacent: Adjacent, of_run: bool) -> Floats:
     products = (centred[1:] * centred[:-1])[near]
     correlation = products.sum(axis=0) / (squares * (len(products) + 1))
     correlation = np.where(is_constant, 1.0, correlation)
-    held = np.array([*_held(steps)])
     return np.stack([mean, spread, low, high, changes, correlation, held])
 
 
