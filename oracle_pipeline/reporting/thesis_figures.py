@@ -58,7 +58,7 @@ NO_FIGURE: dict[str, float | str] = {
 #: Threshold of the thesis's code for each linkage, under either criterion (appendix A, cluster.py).
 THRESHOLD = {"ward": 2.0, "single": 4.0, "complete": 4.0, "average": 4.0}
 
-_OF_FIGURE = ("recall", "auc", "source", "runs")
+# By row and column; the others are those of `ThesisFigure`, in their order.
 _PRINTED = pd.read_csv(
     Path(__file__).with_name("thesis_figures.csv"), comment="#", keep_default_na=False, dtype="str"
 ).astype({"recall": "float", "auc": "float", "runs": "int"})
@@ -67,10 +67,7 @@ _PRINTED = pd.read_csv(
 def _figures(source: str) -> dict[tuple[str, str], ThesisFigure]:
     """Return the results of a table, or of sections, by row and column."""
     printed = _PRINTED[_PRINTED["source"].str.startswith(source)].to_dict("records")
-    return {
-        (each["row"], each["column"]): ThesisFigure(**{name: each[name] for name in _OF_FIGURE})
-        for each in printed
-    }
+    return {(each.pop("row"), each.pop("column")): ThesisFigure(*each.values()) for each in printed}
 
 
 #: Table 5.1 by linkage and criterion.

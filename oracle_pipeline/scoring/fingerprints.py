@@ -10,7 +10,6 @@ again was recorded and replayed, even if it fits what else happens.
 from array import array
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
-from operator import itemgetter
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -176,8 +175,10 @@ def longest_repeat(contents: ArrayLike) -> Rows:
     earlier = earlier[repeated]
     (begins,) = np.nonzero(np.diff(earlier, prepend=-2) != 1)
     lengths = np.minimum(np.diff(begins, append=len(repeated)), (repeated - earlier)[begins])
-    begin, length = max(zip(begins, lengths, strict=True), key=itemgetter(1), default=(0, 0))
-    return rows[repeated[begin : begin + length]]
+    if not len(lengths):
+        return rows[:0]
+    best = lengths.argmax()
+    return rows[repeated[begins[best] : begins[best] + lengths[best]]]
 
 
 def _occurrences(hashes: "list[array[int]]") -> "csr_array[np.int64]":
