@@ -66,8 +66,8 @@ _PRINTED = pd.read_csv(
 
 def _figures(source: str) -> dict[tuple[str, str], ThesisFigure]:
     """Return the results of a table, or of sections, by row and column."""
-    printed = _PRINTED[_PRINTED["source"].str.startswith(source)].to_dict("records")
-    return {(each.pop("row"), each.pop("column")): ThesisFigure(*each.values()) for each in printed}
+    printed = _PRINTED[_PRINTED["source"].str.startswith(source)].set_index(["row", "column"])
+    return {place: ThesisFigure(*figure) for place, *figure in printed.itertuples(name=None)}
 
 
 #: Table 5.1 by linkage and criterion.

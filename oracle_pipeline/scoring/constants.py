@@ -43,11 +43,6 @@ class Samples:
 
     Topics with fewer than `FEWEST` messages are left out, except for transforms, texts and events
     of parameters. Of static transforms, texts and events, all messages are taken.
-
-    Attributes
-    ----------
-    taken : dict of str to list of bytes
-        The sampled messages, by topic.
     """
 
     def __init__(self, bag: BagReader) -> None:
@@ -60,7 +55,7 @@ class Samples:
         static = (name for name in self._transforms if is_static(topics[name]))
         whole = (*self._events, *texts, *static)
         most |= {name: max(1, topics[name].count) for name in whole}
-        self.taken: dict[str, list[bytes]] = {
+        self._taken: dict[str, list[bytes]] = {
             name: [] for name, topic in topics.items() if topic.count >= FEWEST or name in most
         }
         self._names = list(topics)
@@ -70,7 +65,7 @@ class Samples:
 
     def add(self, batch: Messages, number: int, rows: Rows) -> None:
         """Sample the next messages of a topic: some rows of a batch."""
-        taken = self.taken.get(self._names[number])
+        taken = self._taken.get(self._names[number])
         if taken is None:
             return
         every = self._every[number]
@@ -89,7 +84,7 @@ class Samples:
         mounted in one place. Topics of an unknown type are left out.
         """
         found: dict[str, dict[str, str]] = {}
-        for topic, data in self.taken.items():
+        for topic, data in self._taken.items():
             kind = self._bag.topics[topic]
             try:
                 store = self._bag.typestore(kind.msgtype)
@@ -111,12 +106,12 @@ class Samples:
         It changes with what a topic carries, whatever its type: a grid whose cells have other
         values, an array of another resolution, a text that is longer.
         """
-        sampled = {topic: b"".join(data) for topic, data in self.taken.items() if any(data)}
+        sampled = {topic: b"".join(data) for topic, data in self._taken.items() if any(data)}
         return {topic: _entropy(data) for topic, data in sampled.items()}
 
     def parameters(self) -> ReportedParameters:
         """Return the parameters that were reported."""
-        reported = [data for topic in self._events for data in self.taken[topic]]
+        reported = [data for topic in self._events for data in self._taken[topic]]
         whole = SerializedMessages(reported, typestore(), EVENTS, is_cdr=True).whole
         return parameters_of(itertools.compress(reported, whole))
 
