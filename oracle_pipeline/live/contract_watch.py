@@ -24,6 +24,7 @@ from oracle_pipeline.scoring.contract import (
     graph_elements,
     qos_words,
 )
+from oracle_pipeline.scoring.fingerprints import MESSAGES, RecentRepeats
 from oracle_pipeline.scoring.pace import SPAN_S
 
 CONSECUTIVE = 2  # checks in a row that must find a breach before it is reported
@@ -37,23 +38,23 @@ class ContractWatch:
     Parameters
     ----------
     contract : Contract
+    topics : mapping of str to str
+        Topics of known types, and these; more may come.
     """
 
-    def __init__(self, contract: Contract) -> None:
-        self._contract = contract
-        self._arrivals: dict[str, _RecentCounts] = {}  # by topic
+    def __init__(self, contract: Contract, topics: Mapping[str, str]) -> None:
+        self._contract, self._topics = contract, topics
+        self._arrivals: dict[str, _Arrivals] = {}  # by topic
         self._robots: dict[str, _RobotWatch] = {}
 
-    def count(self, topic: str, at_s: float) -> None:
-        """Count a message that arrived at a time of the recording [s]."""
-        arrivals = self._arrivals.get(topic)
-        if arrivals is None:
-            arrivals = self._arrivals[topic] = _RecentCounts(at_s)
-        arrivals.last_s = at_s
-        arrivals.counts[-1] += 1
+    def add(self, topic: str, at_s: float, message: bytes) -> None:
+        """Take a message that arrived at a time of the recording [s]."""
+        if topic not in self._arrivals:
+            self._arrivals[topic] = _Arrivals(at_s, self._topics[topic])
+        self._arrivals[topic].add(at_s, message)
 
     def forget(self) -> None:
-        """Count messages anew, since some were lost or late."""
+        """Begin anew with messages, since some were lost or late."""
         self._arrivals.clear()
 
     def is_whole(self, graph: RosGraph) -> bool:
@@ -68,9 +69,7 @@ class ContractWatch:
         started = [robot.started_s <= since_s + _AT_ONCE_S for robot in self._robots.values()]
         return since_s >= STARTUP_S or (bool(started) and all(started))
 
-    def check(
-        self, now_s: float, discovery: Discovery, known: Collection[str]
-    ) -> tuple[Breach, ...]:
+    def check(self, now_s: float, discovery: Discovery) -> tuple[Breach, ...]:
         """Return the breaches to report; call it once a second.
 
         Parameters
@@ -79,13 +78,11 @@ class ContractWatch:
             Time of the recording [s].
         discovery : Discovery
             Of the same domain.
-        known : collection of str
-            Topics of known types.
         """
         publishers = {
             name: endpoints
             for name, endpoints in discovery.topics().items()
-            if name in known and not is_hidden(name)
+            if name in self._topics and not is_hidden(name)
         }
         if not publishers:  # the robot has left
             self._arrivals.clear()
@@ -127,11 +124,7 @@ class _RobotWatch:
         self._reported_s: dict[str, float] = {}  # when a breach was last reported, by its name
 
     def check(
-        self,
-        now_s: float,
-        seen: _Seen,
-        graph: frozenset[str],
-        arrivals: Mapping[str, "_RecentCounts"],
+        self, now_s: float, seen: _Seen, graph: frozenset[str], arrivals: Mapping[str, "_Arrivals"]
     ) -> Iterator[Breach]:
         """Yield the breaches to report."""
         first_s = {own: arrivals[n].first_s for own, (n, _) in seen.items() if n in arrivals}
@@ -140,7 +133,7 @@ class _RobotWatch:
             self.started_s = min(self.started_s, last_s)
         found = self._contract.breaches(self._observed(now_s, seen, graph), rates=False)
         if now_s >= min(self.started_s, STARTUP_S):
-            found += self._of_pace(now_s, seen, arrivals)
+            found += self._of_messages(now_s, seen, arrivals)
         found = _without_consequences(found)
         self._lasting = {each.name: self._lasting.get(each.name, 0) + 1 for each in found}
         for each in found:
@@ -168,10 +161,10 @@ class _RobotWatch:
             topics |= {name: (contract.topics[name].types[0], (), None) for name in to_come}
         return Observation(topics, graph)
 
-    def _of_pace(
-        self, now_s: float, seen: _Seen, arrivals: Mapping[str, "_RecentCounts"]
+    def _of_messages(
+        self, now_s: float, seen: _Seen, arrivals: Mapping[str, "_Arrivals"]
     ) -> Iterator[Breach]:
-        """Yield breaches of rate of the topics that have a publisher."""
+        """Yield breaches of rates and repeats of the topics that have a publisher."""
         for own, (name, _) in seen.items():
             if (arrived := arrivals.get(name)) is None:
                 continue
@@ -180,14 +173,16 @@ class _RobotWatch:
                 breach = self._contract.breach_of_count(own, sum(arrived.counts))
             if breach is not None:
                 yield breach
+            yield from self._contract.breaches_of_repeats(own, {MESSAGES: max(arrived.repeats)})
 
 
-class _RecentCounts:
-    """Messages in each of the last seconds, from the first message on."""
+class _Arrivals:
+    """Messages and the longest repeat of each of the last seconds, from the first message on."""
 
-    def __init__(self, first_s: float) -> None:
+    def __init__(self, first_s: float, msgtype: str) -> None:
         self.first_s = self.last_s = first_s
-        self.counts: deque[int] = deque([0], maxlen=SPAN_S)
+        self.counts, self.repeats = (deque([0], maxlen=SPAN_S) for _ in range(2))
+        self._recent = RecentRepeats(msgtype)
         self._ended = 0
 
     @property
@@ -195,9 +190,16 @@ class _RecentCounts:
         """Whether all counted seconds are whole."""
         return self._ended >= SPAN_S  # the first message came within a second
 
+    def add(self, at_s: float, message: bytes) -> None:
+        """Take the next message."""
+        self.last_s = at_s
+        self.counts[-1] += 1
+        self.repeats[-1] = max(self.repeats[-1], self._recent.add(message))
+
     def end_second(self) -> None:
-        """Count the messages of the next second."""
+        """Take the messages of the next second."""
         self.counts.append(0)
+        self.repeats.append(0)
         self._ended += 1
 
 

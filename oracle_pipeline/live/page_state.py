@@ -20,9 +20,7 @@ from oracle_pipeline.live import events
 from oracle_pipeline.robots.robot import names_of_robots
 from oracle_pipeline.scoring.output import HEADINGS, cells
 
-MOST_VERDICTS = 720  # an hour of windows
-MOST_ALARMS = 50
-MOST_NOTES = 50
+MOST = {"verdicts": 720, "alarms": 50, "notes": 50}  # an hour of windows
 MOST_POSES = 2000  # of the path; beyond that, every other one is dropped
 MOST_RAYS = 720  # of a scan
 MOST_SCANS = 4  # topics of scans
@@ -43,9 +41,7 @@ class PageState:
         self._received = 0
         self._now_s = 0.0
         self._graph: Part = {"start_s": None, "nodes": [], "edges": []}
-        self._verdicts: deque[Part] = deque(maxlen=MOST_VERDICTS)
-        self._alarms: deque[Part] = deque(maxlen=MOST_ALARMS)
-        self._notes: deque[str] = deque(maxlen=MOST_NOTES)
+        self._newest = {part: deque[Part | str](maxlen=most) for part, most in MOST.items()}
         self._scans: dict[str, Part] = {}
         self._path: list[list[float]] = []  # x [m], y [m], yaw [rad]
         self._odometry = ""  # the topic that gives the path
@@ -61,14 +57,11 @@ class PageState:
                 self._graph = _graph(event)
                 self._change("graph")
             elif isinstance(event, events.WindowVerdict):
-                self._verdicts.append(_verdict(event))
-                self._change("verdicts")
+                self._append("verdicts", _verdict(event))
             elif isinstance(event, events.WindowAlarm | events.ContractAlarm):
-                self._alarms.append(_alarm(event))
-                self._change("alarms")
+                self._append("alarms", _alarm(event))
             elif isinstance(event, events.Note):
-                self._notes.append(printable(event.text))
-                self._change("notes")
+                self._append("notes", printable(event.text))
 
     def since(self, change: int) -> tuple[int, dict[str, Part]]:
         """Return the number of the newest change, and all parts that changed after `change`."""
@@ -78,9 +71,7 @@ class PageState:
             parts: dict[str, Part] = {
                 "status": {"received": self._received, "now_s": self._now_s},
                 "graph": self._graph,
-                "verdicts": list(self._verdicts),
-                "alarms": list(self._alarms),
-                "notes": list(self._notes),
+                **{part: list(newest) for part, newest in self._newest.items()},
                 "scans": self._own_scans(),
                 "path": list(self._path),
             }
@@ -93,6 +84,10 @@ class PageState:
         robots = [names for _, _, names in names_of_robots(self._topics)]
         own = next((names for names in robots if self._odometry in names), self._topics)
         return {name: self._scans[name] for name in map(printable, own) if name in self._scans}
+
+    def _append(self, part: str, what: Part | str) -> None:
+        self._newest[part].append(what)
+        self._change(part)
 
     def _change(self, part: str) -> None:
         self._changes += 1

@@ -4,7 +4,7 @@ A step of the clock ends it, and another one begins. Windows and intervals exist
 are, so a silent hour costs nothing.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 
 from oracle_pipeline.bags.discovery import Discovery
 from oracle_pipeline.bags.disturbances import Disturbances
@@ -33,8 +33,6 @@ class Segment:
     start_ns : int
         Stamp of its first message.
     discovery : Discovery
-    known : collection of str
-        Topics of known types.
     judge : JudgeProcess or None
     contract : ContractWatch or None
     recorder : Recorder or None
@@ -50,15 +48,15 @@ class Segment:
     """
 
     def __init__(
-        self, start_ns: int, discovery: Discovery, known: Collection[str],
-        judge: JudgeProcess | None, contract: ContractWatch | None, recorder: Recorder | None,
+        self, start_ns: int, discovery: Discovery, judge: JudgeProcess | None,
+        contract: ContractWatch | None, recorder: Recorder | None,
         report: Callable[[Event], None], turn: Callable[[Recorder, float], Recorder] | None = None,
     ) -> None:  # fmt: skip
         self.start_ns = start_ns
         self.recorder = recorder
         self.disturbances = Disturbances()
         self._now_ns = self._newest_ns = start_ns
-        self._discovery, self._known, self._report = discovery, known, report
+        self._discovery, self._report = discovery, report
         self._judge, self._contract, self._turn = judge, contract, turn
         self._fresh: list[RawMessage] = []  # that the judge has not got yet
         self._sent: dict[int, tuple[int, int]] = {}  # messages and bytes of the interval
@@ -81,7 +79,7 @@ class Segment:
         self.advance_to(stamp_ns)
         self._newest_ns = stamp_ns
         if self._contract is not None:
-            self._contract.count(message.topic, self.duration_s)
+            self._contract.add(message.topic, self.duration_s, message.data)
         messages, size = self._sent.get(message.writer, (0, 0))
         self._sent[message.writer] = messages + 1, size + len(message.data)
         if self.recorder is not None:
@@ -178,5 +176,5 @@ class Segment:
         self._second = int(now_s) + 1
         if self.disturbances.cover(now_s - 1.0, now_s):
             self._contract.forget()
-        if breaches := self._contract.check(now_s, self._discovery, self._known):
+        if breaches := self._contract.check(now_s, self._discovery):
             self._report(ContractAlarm(now_s, breaches))

@@ -272,8 +272,8 @@ class Watch:
     def _begin(self, start_ns: int) -> None:
         """Begin a segment, with the latched messages of the one before."""
         self._segment = Segment(
-            start_ns, self.discovery, self._intake.topics, self._judge,
-            None if self._contract is None else ContractWatch(self._contract),
+            start_ns, self.discovery, self._judge,
+            None if self._contract is None else ContractWatch(self._contract, self._intake.topics),
             self._recorder(start_ns), self._report, None if self._black_box is None else self._turn,
         )  # fmt: skip
         if self._early.loss():

@@ -8,6 +8,7 @@ ones: any number in the messages.
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -44,31 +45,14 @@ class Signal(NamedTuple):
 
     unit: str
     floor: float  # smallest significant difference, in the unit
-    description: str
 
 
-#: All signals, by name.
+_TABLE = Path(__file__).with_name("signals.csv")
+
+#: All signals, by name; ``signals.csv`` describes them.
 SIGNALS: Mapping[str, Signal] = {
-    "command_speed": Signal("m/s", 0.005, "commanded linear velocity, forwards"),
-    "command_turn": Signal("rad/s", 0.02, "commanded yaw rate, to the left"),
-    "speed": Signal("m/s", 0.005, "linear velocity by odometry"),
-    "turn": Signal("rad/s", 0.02, "yaw rate by odometry"),
-    "travelled": Signal("m", 0.02, "path length so far, by odometry"),
-    "gyro_turn": Signal("rad/s", 0.02, "yaw rate of the first IMU"),
-    "acceleration": Signal("m/s^2", 0.05, "magnitude of that IMU's acceleration"),
-    "pose_spread": Signal("m", 0.01, "standard deviation of the position, by localisation"),
-    "pose_jump": Signal("m", 0.02, "difference of the last steps of localisation and odometry"),
-    "nearest_min": Signal("m", 0.02, "nearest return of a scan, minimum over the scanners"),
-    "nearest_max": Signal("m", 0.02, "nearest return of a scan, maximum over the scanners"),
-    "no_return_min": Signal("1", 0.005, "share of rays without a return, minimum over scanners"),
-    "no_return_max": Signal("1", 0.005, "share of rays without a return, maximum over scanners"),
-    "uneven_min": Signal("m", 0.002, "unevenness of neighbouring ranges, minimum over scanners"),
-    "uneven_max": Signal("m", 0.002, "unevenness of neighbouring ranges, maximum over scanners"),
-    "goal_time": Signal("s", 0.5, "time since the goal was accepted; 0: no goal is active"),
-    "goals_failed": Signal("1", 0.5, "goals so far that ended without success"),
-    "errors": Signal("1", 0.5, "messages so far at level ERROR or FATAL in the log"),
-    "non_finite": Signal("1", 0.5, "messages on motion so far that contain a non-finite number"),
-    "quiet_topics": Signal("1", 0.5, "periodic topics that have been silent for too long"),
+    name: Signal(unit, floor)
+    for name, unit, floor in pd.read_csv(_TABLE, usecols=range(3)).itertuples(index=False)
 }
 
 

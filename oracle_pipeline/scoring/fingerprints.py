@@ -8,7 +8,7 @@ again was recorded and replayed, even if it fits what else happens.
 """
 
 from array import array
-from collections import defaultdict
+from collections import OrderedDict, defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple, TypeAlias
 
@@ -18,13 +18,15 @@ from scipy.sparse import csr_array
 
 from oracle_pipeline.bags.merging import Messages, Rows
 from oracle_pipeline.bags.reader import BagReader
-from oracle_pipeline.features.engine.message_layout import MessageLayout
+from oracle_pipeline.bags.types import typestore
+from oracle_pipeline.features.engine.message_layout import MessageLayout, has_header
 from oracle_pipeline.features.signals.collector import PERIOD, Signals
 from oracle_pipeline.scoring.pace import FEWEST
 
 MOST_TOPICS = 500  # of a type that are compared
 MOST_MESSAGES = 1_000_000  # of a topic, and of all topics of a type, that are compared
 MESSAGES = ""  # stands for whole messages, where others are names of numbers
+RECENT = 10_000  # different messages that a topic of a running robot is compared with
 DIFFERENT = 50  # messages or numbers that must differ; states and texts repeat by themselves
 ROUNDING = 8  # spacings of floats at the largest value; smaller differences are rounding errors
 FINE = 10  # of a number whose steps vary: median over least difference between two steps
@@ -128,6 +130,39 @@ class Fingerprints:
         )
         later = float(np.median([ours[key] - theirs[key] for key in ours.keys() & theirs]))
         return later > 0.0 or (later == 0.0 and self._names[source] < self._names[topic])
+
+
+class RecentRepeats:
+    """Finds what `longest_repeat` does, message by message, on a topic of a running robot.
+
+    Parameters
+    ----------
+    msgtype : str
+        Of its messages.
+    """
+
+    def __init__(self, msgtype: str) -> None:
+        self._begin = _STAMP_ENDS if has_header(typestore(), msgtype) else 0
+        self._places = OrderedDict[int, int]()  # by hash: the last place of each recent message
+        self._place = 0  # of the newest message; equal ones in a row have the same
+        self._earlier = -2  # place of the one that the last repeated message repeats
+        self._length = self._most = 0  # of the sequence that it continues
+
+    def add(self, message: bytes) -> int:
+        """Take the next message; return the length of the repeat that it continues, or 0."""
+        content = hash(message[self._begin :])
+        earlier = self._places.pop(content, -1)
+        self._place += earlier != self._place
+        self._places[content] = self._place  # as the newest
+        if len(self._places) > RECENT:
+            self._places.popitem(last=False)
+        if earlier in (-1, self._place):  # new, or as the message before
+            return 0
+        if earlier != self._earlier + 1:
+            self._length, self._most = 0, self._place - earlier
+        self._earlier = earlier
+        self._length = min(self._length + 1, self._most)
+        return self._length if len(self._places) >= DIFFERENT else 0
 
 
 def repeated_numbers(signals: Iterable[Signals]) -> Iterator[tuple[Signals, str, Rows]]:

@@ -39,8 +39,7 @@ class MessageLayout:
         msgtype = bag.topics[topic].msgtype
         try:
             store = bag.typestore(msgtype)
-            fields = store.fielddefs[msgtype][1]
-            self.has_header = bool(fields) and fields[0][1] == (Nodetype.NAME, _HEADER)
+            self.has_header = has_header(store, msgtype)
             self.has_array = _has_array(store, msgtype)
         except (BagError, KeyError):
             return
@@ -53,6 +52,12 @@ class MessageLayout:
         # After the encapsulation, or ROS 1's sequence number.
         sec, nanosec = stamp.unpack_from(data, 4)
         return int(sec) * 1_000_000_000 + int(nanosec)
+
+
+def has_header(store: Typestore, msgtype: str) -> bool:
+    """Return whether the first field of a type is a header."""
+    fields = store.fielddefs[msgtype][1]
+    return bool(fields) and fields[0][1] == (Nodetype.NAME, _HEADER)
 
 
 def _has_array(store: Typestore, msgtype: Any) -> bool:

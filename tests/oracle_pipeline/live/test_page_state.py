@@ -12,14 +12,7 @@ from hypothesis.extra import numpy as hnp
 
 from oracle_pipeline.live import page_state
 from oracle_pipeline.live.events import MessageReceived
-from oracle_pipeline.live.page_state import (
-    EVERY_NS,
-    MOST_POSES,
-    MOST_RAYS,
-    MOST_VERDICTS,
-    PageState,
-    points,
-)
+from oracle_pipeline.live.page_state import EVERY_NS, MOST, MOST_POSES, MOST_RAYS, PageState, points
 from tests.oracle_pipeline.features.conftest import scan
 from tests.oracle_pipeline.live.happenings import HOSTILE, events, messages, verdict
 
@@ -70,11 +63,11 @@ def test_an_infinite_score_is_null() -> None:
 
 def test_only_the_newest_verdicts_are_kept() -> None:
     state = PageState()
-    for number in range(MOST_VERDICTS + 7):
+    for number in range(MOST["verdicts"] + 7):
         state.update(verdict(number))
     kept = state.since(0)[1]["verdicts"]
-    assert len(kept) == MOST_VERDICTS
-    assert kept[-1]["end_s"] == verdict(MOST_VERDICTS + 6).end_s
+    assert len(kept) == MOST["verdicts"]
+    assert kept[-1]["end_s"] == verdict(MOST["verdicts"] + 6).end_s
 
 
 def test_the_path_is_bounded_and_ends_where_the_robot_is() -> None:

@@ -5,9 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oracle_pipeline.bags.types import message_class
+from oracle_pipeline.bags.types import message_class, serialize
 from oracle_pipeline.scoring.contract import FEWEST_RECORDINGS, REPLAYED, Contract, Observation
-from oracle_pipeline.scoring.fingerprints import DIFFERENT, MESSAGES, longest_repeat
+from oracle_pipeline.scoring.fingerprints import (
+    DIFFERENT,
+    MESSAGES,
+    RECENT,
+    RecentRepeats,
+    longest_repeat,
+)
 from tests.oracle_pipeline.features.scenery import odometry_message, scan_message
 
 COUNT = 200
@@ -97,6 +103,31 @@ def test_a_sequence_is_no_longer_than_half_of_all_messages(contents):
 @given(st.integers(1, 10), st.integers(1, 10))
 def test_waiting_is_no_repetition(states, messages):
     assert len(longest_repeat(np.repeat(np.arange(states), messages))) == 0
+
+
+def repeated(numbers):
+    recent = RecentRepeats("std_msgs/msg/UInt32")
+    return max(recent.add(number.to_bytes(8)) for number in numbers)
+
+
+@given(st.lists(st.integers(0, 6), max_size=60))
+def test_a_running_topic_repeats_what_its_recording_does(contents):
+    numbers = [*range(100, 100 + DIFFERENT), *contents]
+    assert repeated(numbers) == len(longest_repeat(numbers))
+
+
+def test_a_running_topic_is_compared_with_as_many_messages_as_fit():
+    numbers = [*range(2 * RECENT)]
+    assert repeated([*numbers, *range(RECENT, RECENT + 10)]) == 10
+    assert repeated([*numbers, *range(RECENT - 10, RECENT)]) == 0
+
+
+def test_a_running_topic_is_replayed_under_new_stamps():
+    recent = RecentRepeats("nav_msgs/msg/Odometry")
+    numbers = [*range(DIFFERENT), *range(20)]
+    published = [odometry(number, time_s) for time_s, number in enumerate(numbers)]
+    added = [recent.add(serialize(each, "nav_msgs/msg/Odometry")) for each in published]
+    assert added[-20:] == [*range(1, 21)]
 
 
 def told_of(usual, seen, recordings=FEWEST_RECORDINGS):
