@@ -1,6 +1,7 @@
 """ArduPilot DataFlash, by pymavlink: each type of message is a topic."""
 
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ from oracle_pipeline.logs.log import LATEST_NS, Log, LogError, LogTopic, numeric
 _SKIPPED = {"FMT", "FMTU", "UNIT", "MULT", "PARM", "FILE", "MSG"}  # about the log; no signals
 # Fields with the time, and its unit [ns]. In logs of old releases, GPS has it as T, and its TimeMS
 # is that of the week.
-_TIMES = {"TimeUS": 1_000, "T": 1_000_000, "TimeMS": 1_000_000}
+TIME = "TimeUS"
+_TIMES = {TIME: 1_000, "T": 1_000_000, "TimeMS": 1_000_000}
 _INSTANCES = ("I", "Instance", "C", "Core")  # fields that number sensors and estimators
 
 
@@ -34,6 +36,17 @@ def read_dataflash(path: Path) -> Log:
                 fields = message.to_dict()
                 suffix = next((f"_{fields.pop(key)}" for key in _INSTANCES if key in fields), "")
                 rows[f"/{fields.pop('mavpackettype')}{suffix}"].append(fields)
+    return log_of(path, rows)
+
+
+def log_of(path: Path, rows: Mapping[str, list[dict[str, Any]]]) -> Log:
+    """Return a log of the fields of messages, by the names of topics.
+
+    Raises
+    ------
+    LogError
+        If no topic has numbers and times.
+    """
     found = Log([])
     for name, messages in sorted(rows.items()):
         columns = numeric((key, np.array([m.get(key) for m in messages])) for key in messages[0])

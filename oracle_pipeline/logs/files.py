@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias
 from oracle_pipeline.bags.parts import is_recording
 from oracle_pipeline.logs.log import reading
 
-LogFormat: TypeAlias = Literal["tables", "lerobot", "ulog", "dataflash"]
+LogFormat: TypeAlias = Literal["tables", "lerobot", "ulog", "dataflash", "telemetry"]
 
 EPISODE = "episode_"
 _INFORMATION = Path("meta", "info.json")  # of a LeRobot data set
@@ -29,6 +29,8 @@ def kind_of(path: Path) -> LogFormat | None:
         return None
     if _is_table(path):
         return "tables"
+    if path.suffix.lower() == ".tlog":  # it begins with a time
+        return "telemetry"
     with path.open("rb") as source:
         begin = source.read(8)
     return next((kind for magic, kind in _MAGIC.items() if begin.startswith(magic)), None)

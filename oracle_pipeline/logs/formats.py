@@ -19,6 +19,7 @@ _READERS: dict[LogFormat | Literal["mcap"], tuple[str, str]] = {
     "lerobot": ("lerobot", "read_episode"),
     "ulog": ("ulog", "read_ulog"),
     "dataflash": ("dataflash", "read_dataflash"),
+    "telemetry": ("mavlink", "read_telemetry"),
     "mcap": ("mcap_messages", "read_mcap"),
 }
 
@@ -75,8 +76,8 @@ def read_log(path: Path) -> Log:
     kind = "mcap" if path.suffix == ".mcap" else kind_of(path)
     if kind is None:
         raise LogError(
-            f"{path} is no log that can be read: CSV, Parquet, PX4 ULog, ArduPilot DataFlash, an "
-            "episode of a LeRobot data set, or MCAP with Protobuf or JSON."
+            f"{path} is no log that can be read: CSV, Parquet, PX4 ULog, ArduPilot DataFlash, "
+            "MAVLink telemetry, an episode of a LeRobot data set, or MCAP with Protobuf or JSON."
         )
     module, function = _READERS[kind]
     try:

@@ -3,9 +3,13 @@
 A name reads ``<node>.<parameter>``, as in ``controller_server.FollowPath.PathDist.scale``.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
+
+import yaml
 
 from sim.campaigns import RecipeError
 from sim.nav2.dwb_sampling import STOCK_SIM_TIME, Parameters
@@ -46,42 +50,9 @@ class TunableParameter(NamedTuple):
         return int(value)
 
 
-_DWB, _LOCAL, _GLOBAL = "dwb", "local_inflation", "global_inflation"
-
 PARAMETERS: Mapping[str, TunableParameter] = {
-    **{
-        f"{costmap}.inflation_layer.{name}": TunableParameter(part, field, low, high)
-        for costmap, part in (("local_costmap", _LOCAL), ("global_costmap", _GLOBAL))
-        for name, field, low, high in (
-            ("inflation_radius", "radius", 0.05, 3.0),
-            ("cost_scaling_factor", "cost_scaling", 0.1, 100.0),
-        )
-    },
-    **{
-        f"controller_server.FollowPath.{name}": TunableParameter(_DWB, field, low, high)
-        for name, field, low, high in (
-            ("max_vel_x", "max_vel_x", 0.01, 2.0),
-            ("max_vel_theta", "max_vel_theta", 0.01, 5.0),
-            ("acc_lim_x", "acc_lim_x", 0.01, 10.0),
-            ("decel_lim_x", "decel_lim_x", -10.0, -0.01),
-            ("acc_lim_theta", "acc_lim_theta", 0.01, 10.0),
-            ("decel_lim_theta", "decel_lim_theta", -10.0, -0.01),
-            ("vx_samples", "vx_samples", 2, 100),
-            ("vtheta_samples", "vtheta_samples", 2, 100),
-            ("sim_time", "sim_time", 0.1, 5.0),
-            ("linear_granularity", "linear_granularity", 0.005, 0.5),
-            ("angular_granularity", "angular_granularity", 0.005, 0.5),
-            ("xy_goal_tolerance", "xy_goal_tolerance", 0.01, 1.0),
-            ("trans_stopped_velocity", "trans_stopped_velocity", 0.01, 1.0),
-            ("RotateToGoal.slowing_factor", "slowing_factor", 0.0, 100.0),
-            ("RotateToGoal.scale", "rotate_to_goal_scale", 0.0, 1000.0),
-            ("BaseObstacle.scale", "base_obstacle_scale", 0.0, 1000.0),
-            ("GoalAlign.scale", "goal_align_scale", 0.0, 1000.0),
-            ("PathAlign.scale", "path_align_scale", 0.0, 1000.0),
-            ("PathDist.scale", "path_dist_scale", 0.0, 1000.0),
-            ("GoalDist.scale", "goal_dist_scale", 0.0, 1000.0),
-        )
-    },
+    name: TunableParameter(*row)
+    for name, row in yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text("utf-8")).items()
 }
 
 
@@ -109,7 +80,7 @@ def settings(*, stock: bool, given: Mapping[str, float]) -> Settings:
     RecipeError
         If there is no such parameter, or it cannot have that value.
     """
-    changed: dict[str, dict[str, Any]] = {_DWB: {}, _LOCAL: {}, _GLOBAL: {}}
+    changed: dict[str, dict[str, Any]] = defaultdict(dict)
     for name, value in given.items():
         setting = PARAMETERS.get(name)
         if setting is None:
@@ -118,9 +89,9 @@ def settings(*, stock: bool, given: Mapping[str, float]) -> Settings:
     dwb = Parameters(sim_time=STOCK_SIM_TIME) if stock else Parameters()
     everywhere = AS_SHIPPED if stock else Inflation(cost_scaling=GLOBAL_COST_SCALING)
     return Settings(
-        dwb._replace(**changed[_DWB]),
-        AS_SHIPPED._replace(**changed[_LOCAL]),
-        everywhere._replace(**changed[_GLOBAL]),
+        dwb._replace(**changed["dwb"]),
+        AS_SHIPPED._replace(**changed["local_inflation"]),
+        everywhere._replace(**changed["global_inflation"]),
     )
 
 

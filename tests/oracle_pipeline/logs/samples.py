@@ -10,8 +10,10 @@ import numpy as np
 import pandas as pd
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.writer import Writer
+from pymavlink.dialects.v20 import all as mavlink
 
 COUNT, RATE_HZ = 60, 20.0
+BEGIN_US = 1_700_000_000_000_000
 TIMES_S = np.arange(COUNT) / RATE_HZ
 SIGNAL = np.sin(TIMES_S)
 
@@ -92,6 +94,25 @@ def dataflash(folder: Path, field: bytes = b"TimeUS", unit_s: float = 1e-6) -> P
     return path
 
 
+def packet(time_s: float, message: Any, *sender: int, version: int = 2) -> bytes:
+    """Return a message of MAVLink as ground stations log it."""
+    parser = mavlink.MAVLink(None, *sender)
+    packed: bytes = message.pack(parser, force_mavlink1=version == 1)
+    return struct.pack(">Q", BEGIN_US + round(time_s * 1e6)) + packed
+
+
+def telemetry(folder: Path, version: int = 2) -> Path:
+    path = folder / "flight.tlog"
+    attitudes = [
+        packet(
+            time_s, mavlink.MAVLink_attitude_message(0, value, *[0.5] * 5), 1, 1, version=version
+        )
+        for time_s, value in zip(TIMES_S, SIGNAL, strict=True)
+    ]
+    path.write_bytes(b"".join(attitudes))
+    return path
+
+
 def attitude(value: float) -> dict[str, Any]:
     return {"angles": {"roll": value}}
 
@@ -141,6 +162,7 @@ SAMPLES: dict[str, tuple[Callable[[Path], Path], str, str]] = {
     "lerobot": (lerobot, "/observation/state", "pan"),
     "ulog": (ulog, "/vehicle_attitude", "q"),
     "dataflash": (dataflash, "/ATT", "Roll"),
+    "telemetry": (telemetry, "/ATTITUDE", "roll"),
     "mcap_json": (mcap_json, "/attitude", "angles_roll"),
     "mcap_protobuf": (mcap_protobuf, "/attitude", "roll"),
 }

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as mavlink
 from rosbags.highlevel import AnyReader
 
 from oracle_pipeline.bags import layout
@@ -108,6 +109,36 @@ def test_a_message_of_dataflash_with_a_damaged_time_is_left_out(tmp_path):
     log = read_log(path)
     assert len(log.topics[0].times_ns) == samples.COUNT - 1
     assert log.notes == ["/ATT: 1 messages with a damaged time are not used."]
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_telemetry_is_read_past_what_is_damaged(version, tmp_path):
+    path = samples.telemetry(tmp_path, version)
+    content = path.read_bytes()
+    size = len(content) // samples.COUNT
+    damaged = size + 20  # in the second message
+    path.write_bytes(b"\xfd\xfe" + content[:damaged] + b"\xfe" + content[damaged + 1 :])
+    log = read_log(path)
+    (topic,) = log.topics
+    assert len(topic.times_ns) == samples.COUNT - 1
+    assert topic.times_ns[0] == samples.BEGIN_US * 1000
+    assert log.notes == [f"{size + 2} bytes are damaged or cut off and are not used."]
+
+
+def test_telemetry_of_others_and_of_several_sensors_has_topics_of_its_own(tmp_path):
+    beat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
+    first, second = (
+        mavlink.MAVLink_distance_sensor_message(0, 20, 700, 100 + n, 0, n, 25, 0) for n in range(2)
+    )
+    setting = mavlink.MAVLink_param_value_message(b"RATE", 1.0, 9, 1, 0)
+    sent = [(beat, 255, 190), (beat, 7, 1), (first, 7, 1), (second, 7, 1), (setting, 7, 1)]
+    packets = [samples.packet(n, *each) for n in range(3) for each in sent]
+    path = tmp_path / "flight.TLOG"
+    path.write_bytes(b"".join(packets))
+    topics = {topic.name: topic.columns for topic in read_log(path).topics}
+    names = {"/DISTANCE_SENSOR_0", "/DISTANCE_SENSOR_1", "/HEARTBEAT", "/HEARTBEAT_255_190"}
+    assert topics.keys() == names
+    assert topics["/DISTANCE_SENSOR_1"]["current_distance"].tolist() == [101] * 3
 
 
 def _counts(path: Path) -> tuple[dict[str, int], str]:
