@@ -33,17 +33,17 @@ def read_telemetry(path: Path) -> Log:
         If the file is damaged or holds no messages.
     """
     rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    vehicle: tuple[int, int] | None = None  # system and component of the first autopilot
     taken = 0
     with reading(path, "MAVLink telemetry"):
         content = path.read_bytes()
-        messages = list(_messages(content))
-        systems = (m.get_srcSystem() for _, m in messages if m.get_srcComponent() == _AUTOPILOT)
-        vehicle = next(systems, None), _AUTOPILOT
-        for stamp_us, message in messages:
+        for stamp_us, message in _messages(content):
             taken += _STAMP + len(message.get_msgbuf())
             if not _SKIPPED.match(message.get_type()):
                 fields = message.to_dict() | {TIME: stamp_us}
                 sender = message.get_srcSystem(), message.get_srcComponent()
+                if vehicle is None and sender[1] == _AUTOPILOT:
+                    vehicle = sender
                 name = [fields.pop("mavpackettype"), *(() if sender == vehicle else sender)]
                 if message.instance_field:
                     name.append(fields.pop(message.instance_field))
