@@ -23,41 +23,24 @@ SHOWN = 10  # faults named in the description of a result
 
 PAIR_CHECK = "graphs_of_a_pair_are_equal"
 OF_TABLES = ("window_features_are_finite", "run_features_are_finite")  # joined for a partition
-CHECKS = (
-    dg.AssetCheckSpec(
-        "bag_is_complete",
-        asset="bags",
-        partitions_def=RUNS,
-        description="Every message that the manifest counts can be read from the bag, and the "
-        "hashes of messages and files are those of the manifest.",
-    ),
-    dg.AssetCheckSpec(
-        "every_interval_has_a_graph",
-        asset="interval_graphs",
-        partitions_def=RUNS,
-        description="Every interval of 10 s of the recording, and a last one of at least 5 s, has "
-        "a graph, and no graph file has changed.",
-    ),
-    dg.AssetCheckSpec(
-        PAIR_CHECK,
-        asset="interval_graphs",
-        partitions_def=RUNS,
-        description="An attacked run and its control have equal vertices, types and edges in every "
-        "interval that both have. There is no result until both are recorded.",
-    ),
-    dg.AssetCheckSpec(
-        "window_features_are_finite",
-        asset="window_features",
-        partitions_def=RUNS,
-        description="Every feature of every window is a finite number, or empty with a reason.",
-    ),
-    dg.AssetCheckSpec(
-        "run_features_are_finite",
-        asset="run_features",
-        partitions_def=RUNS,
-        description="Every feature of the run is a finite number, or empty with a reason.",
-    ),
-)
+CHECKS = tuple(
+    dg.AssetCheckSpec(name, asset=asset, partitions_def=RUNS, description=description)
+    for name, asset, description in (
+        ("bag_is_complete", "bags",
+            "Every message that the manifest counts can be read from the bag, and the hashes of "
+            "messages and files are those of the manifest."),
+        ("every_interval_has_a_graph", "interval_graphs",
+            "Every interval of 10 s of the recording, and a last one of at least 5 s, has a graph, "
+            "and no graph file has changed."),
+        (PAIR_CHECK, "interval_graphs",
+            "An attacked run and its control have equal vertices, types and edges in every "
+            "interval that both have. There is no result until both are recorded."),
+        ("window_features_are_finite", "window_features",
+            "Every feature of every window is a finite number, or empty with a reason."),
+        ("run_features_are_finite", "run_features",
+            "Every feature of the run is a finite number, or empty with a reason."),
+    )
+)  # fmt: skip
 
 
 @dg.multi_asset_check(name="checks_of_runs", specs=CHECKS, can_subset=True)

@@ -11,6 +11,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from sklearn.base import BaseEstimator, TransformerMixin
 
+from oracle_pipeline.bags.jit import jit_unchecked
+
 MAD_TO_DEVIATION = 1.4826  # of a normal distribution
 SPREAD_FLOOR = 0.1  # floor without a declared resolution, in standard deviations of the column
 ROUNDING_FLOOR = 1e-9  # floor for every column, relative to its largest magnitude
@@ -55,51 +57,73 @@ class FlooredRobustScaler(TransformerMixin, BaseEstimator):  # type: ignore[misc
 
     def fit(self, X: pd.DataFrame, y: None = None) -> Self:  # noqa: ARG002  # scikit-learn passes it
         """Learn centre and scale from the rows of `X`, shape (n_runs, n_features)."""
-        values = _finite(X)
-        counts = np.count_nonzero(~np.isnan(values), axis=1)
-        names = np.array(list(X.columns), dtype=object)
+        statistics = _statistics(_columns(X))
+        counts, names = statistics[0], np.array(list(X.columns), dtype=object)
         self.kept_ = names[counts > 0].tolist()
         self.dropped_ = names[counts == 0].tolist()
         self.indicated_ = names[(counts > 0) & (counts < len(X))].tolist()
 
-        values, counts = values[counts > 0], counts[counts > 0]
-        self.center_ = _medians(values, counts)
-        deviation = MAD_TO_DEVIATION * _medians(np.abs(values - self.center_[:, None]), counts)
+        _, self.center_, mad, deviation, largest = statistics[:, counts > 0]
         floors = self.floors or {}
         floor = np.array([floors.get(name, np.nan) for name in self.kept_], dtype=np.float64)
-        undeclared = np.isnan(floor)
-        floor[undeclared] = SPREAD_FLOOR * _deviations(values[undeclared], counts[undeclared])
-        rounding = ROUNDING_FLOOR * np.fmax.reduce(np.abs(values), axis=1, initial=0.0)
-        scale = np.maximum.reduce([deviation, floor, rounding])
+        floor = np.where(np.isnan(floor), SPREAD_FLOOR * deviation, floor)
+        scale = np.maximum.reduce([MAD_TO_DEVIATION * mad, floor, ROUNDING_FLOOR * largest])
         self.scale_ = np.where(scale > 0.0, scale, self.of_zero)
+        self._adjust(mad, deviation)
         return self
+
+    def _adjust(self, mad: NDArray[np.float64], deviation: NDArray[np.float64]) -> None:
+        """Change what was learned; the MAD and the standard deviation of the columns are given."""
 
     def transform(self, X: pd.DataFrame) -> NDArray[np.float64]:
         """Return the scaled features, shape (n_runs, len(kept_) + len(indicated_)), without NaN."""
-        values = _finite(X if list(X.columns) == self.kept_ else X[self.kept_])
+        values = _columns(X if list(X.columns) == self.kept_ else X[self.kept_])
         indicated = np.isin(self.kept_, self.indicated_)
         kept = len(self.kept_)
-        scaled = np.empty((len(X), kept + len(self.indicated_)))
-        scaled[:, :kept] = ((values - self.center_[:, None]) / self.scale_[:, None]).T
-        scaled[:, kept:] = np.isnan(values[indicated]).T
-        np.clip(scaled, -CLIP, CLIP, out=scaled)
-        return np.nan_to_num(scaled, copy=False, nan=0.0)
+        scaled = np.empty((kept + len(self.indicated_), len(X)))
+        _scale(values, self.center_, self.scale_, self._limits(), scaled)
+        scaled[kept:] = ~np.isfinite(values[indicated])
+        return scaled.T
+
+    def _limits(self) -> NDArray[np.float64]:
+        """Return the largest distance that counts, for each kept column [scales]."""
+        return np.full(len(self.kept_), CLIP)
 
 
-def _finite(X: pd.DataFrame) -> NDArray[np.float64]:
-    """Return the values, one row per column of `X`, with NaN where they are not finite."""
-    values = X.to_numpy(dtype=np.float64).T
-    return np.ascontiguousarray(np.where(np.isfinite(values), values, np.nan))
+def _columns(X: pd.DataFrame) -> NDArray[np.float64]:
+    """Return the values, one row per column of `X`."""
+    return np.ascontiguousarray(X.to_numpy(dtype=np.float64).T)
 
 
-def _medians(values: NDArray[np.float64], counts: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return the median of the numbers in each row; `counts` is their number, without NaN."""
-    ordered, row = np.sort(values, axis=1), np.arange(len(values))  # NaN comes last
-    middle = (ordered[row, (counts - 1) // 2] + ordered[row, counts // 2]) / 2.0
-    return np.asarray(middle, dtype=np.float64)
+@jit_unchecked
+def _statistics(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return statistics of the finite numbers in each row, shape (5, n_rows).
+
+    They are their count, median, MAD, standard deviation and largest magnitude.
+    """
+    found = np.full((5, len(values)), np.nan)
+    for row in range(len(values)):
+        numbers = values[row][np.isfinite(values[row])]
+        found[0, row] = len(numbers)
+        if len(numbers):
+            found[1, row] = np.median(numbers)
+            found[2, row] = np.median(np.abs(numbers - found[1, row]))
+            found[3, row] = np.std(numbers)
+            found[4, row] = np.abs(numbers).max()
+    return found
 
 
-def _deviations(values: NDArray[np.float64], counts: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return the standard deviation of the numbers in each row."""
-    centred = values - (np.nansum(values, axis=1) / counts)[:, None]
-    return np.asarray(np.sqrt(np.nansum(centred * centred, axis=1) / counts), dtype=np.float64)
+@jit_unchecked
+def _scale(
+    values: NDArray[np.float64],
+    center: NDArray[np.float64],
+    scale: NDArray[np.float64],
+    limit: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """Write the scaled rows of `values` into the first rows of `out`; 0 where they are missing."""
+    for row in range(len(values)):
+        for place in range(len(values[row])):
+            value = values[row, place]
+            scaled = (value - center[row]) / scale[row] if np.isfinite(value) else 0.0
+            out[row, place] = min(max(scaled, -limit[row]), limit[row])

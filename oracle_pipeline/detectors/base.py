@@ -39,6 +39,27 @@ def single_threaded() -> AbstractContextManager[object]:
     return limited
 
 
+def shrinkage(centred: NDArray[np.float64], trace: float, squares: float) -> float:
+    """Return the share of Ledoit and Wolf's target in the covariance of centred rows.
+
+    Parameters
+    ----------
+    centred : ndarray of shape (n_rows, n_columns)
+    trace, squares : float
+        Sums of the variances, and of the squares of all elements of the sample covariance.
+
+    References
+    ----------
+    O. Ledoit, M. Wolf, "A well-conditioned estimator for large-dimensional covariance matrices",
+    Journal of Multivariate Analysis 88, 2004.
+    """
+    rows, columns = centred.shape
+    powers = np.einsum("ij,ij->i", centred, centred)
+    unequal = squares - trace**2 / columns  # 0 if the covariance is the target
+    noise = (float(powers @ powers) / rows - squares) / rows
+    return min(max(noise / unequal, 0.0), 1.0) if unequal > 0.0 else 0.0
+
+
 class OwnDetector(OutlierMixin, BaseEstimator):  # type: ignore[misc]  # untyped bases
     """Base of detectors that scikit-learn lacks; it validates the input for subclasses.
 

@@ -2,10 +2,9 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.covariance import LedoitWolf
 from sklearn.decomposition import PCA
 
-from oracle_pipeline.detectors.base import OwnDetector
+from oracle_pipeline.detectors.base import OwnDetector, shrinkage
 
 _LEAST_WIDTH = 1.0  # of a range [scales]
 _MOST_WIDTHS = 3.0  # that one feature counts
@@ -84,7 +83,7 @@ class PrincipalComponents(OwnDetector):
 
 
 class Mahalanobis(OwnDetector):
-    """Distance from the mean in the covariance of normal runs, shrunk after Ledoit and Wolf [1]_.
+    """Distance from the mean in the covariance of normal runs, shrunk after Ledoit and Wolf.
 
     Rows are z-scores in units of at least the feature's resolution. Variances below 1 are raised to
     1, so a feature that never varied in training is neither ignored nor dominates all others.
@@ -93,18 +92,18 @@ class Mahalanobis(OwnDetector):
     ----------
     location_ : ndarray of shape (n_features,)
     precision_ : ndarray of shape (n_features, n_features)
-
-    References
-    ----------
-    .. [1] O. Ledoit, M. Wolf, "A well-conditioned estimator for large-dimensional covariance
-       matrices", Journal of Multivariate Analysis 88, 2004.
     """
 
     def _learn(self, X: NDArray[np.float64]) -> None:
-        shrunk = LedoitWolf(store_precision=False).fit(X)
-        raised = np.maximum(0.0, 1.0 - np.diag(shrunk.covariance_))
-        self.location_ = shrunk.location_
-        inverse = np.linalg.inv(shrunk.covariance_ + np.diag(raised)).astype(np.float32)
+        self.location_ = X.mean(axis=0)
+        centred = X - self.location_
+        covariance = centred.T @ centred / len(X)
+        trace = float(np.trace(covariance))
+        weight = shrinkage(centred, trace, float((covariance**2).sum()))
+        variances = (1.0 - weight) * np.diag(covariance) + weight * trace / X.shape[1]
+        covariance *= 1.0 - weight
+        np.fill_diagonal(covariance, np.maximum(variances, 1.0))
+        inverse = np.linalg.inv(covariance).astype(np.float32)
         # Exactly symmetric and in single precision, because a reference card stores one half.
         self.precision_ = ((inverse + inverse.T) / 2).astype(np.float64)
 

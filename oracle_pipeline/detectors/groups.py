@@ -5,16 +5,13 @@ them. Its topic has few columns, so there it stands out.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Self
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
-from scipy.linalg import svd
-from sklearn.covariance import ledoit_wolf_shrinkage
+from scipy.linalg import eigh
 
 from oracle_pipeline.clustering.scaling import CLIP, ROUNDING_FLOOR, FlooredRobustScaler
-from oracle_pipeline.detectors.base import OwnDetector
+from oracle_pipeline.detectors.base import OwnDetector, shrinkage
 
 Floats = NDArray[np.float64]
 LEAST_DIRECTIONS = 12  # of a group whose variances are kept
@@ -52,26 +49,17 @@ class SignalScaler(FlooredRobustScaler):
 
     of_zero = 1e-6  # above rounding errors, and below any change that means something
 
-    def fit(self, X: pd.DataFrame, y: None = None) -> Self:  # noqa: ARG002  # scikit-learn passes it
-        """Learn centre and scale from the rows of `X`, shape (n_runs, n_features)."""
-        super().fit(X)
+    def _adjust(self, mad: Floats, deviation: Floats) -> None:
         self.indicated_ = []
-        values = X[self.kept_].to_numpy(dtype=np.float64)
-        deviation = np.nanstd(np.where(np.isfinite(values), values, np.nan), axis=0)
-        spread = np.nanmedian(np.abs(values - self.center_), axis=0)
-        steady = np.minimum(spread, deviation) <= ROUNDING_FLOOR * np.abs(self.center_)
+        steady = np.minimum(mad, deviation) <= ROUNDING_FLOOR * np.abs(self.center_)
         usual = dict(zip(self.kept_, self.center_.tolist(), strict=True))
         self.is_constant_ = steady & ~_can_stand_still(usual)
         self.scale_ = np.maximum.reduce(
             [self.scale_, LEAST_SHARE * deviation, _least_scales(usual)]
         )
-        return self
 
-    def transform(self, X: pd.DataFrame) -> Floats:
-        """Return the scaled statistics, shape (n_runs, len(kept_)), 0 where they are missing."""
-        scaled = super().transform(X)
-        limit = np.where(self.is_constant_, OF_CONSTANT, CLIP)
-        return np.asarray(np.clip(scaled, -limit, limit), dtype=np.float64)
+    def _limits(self) -> Floats:
+        return np.where(self.is_constant_, OF_CONSTANT, CLIP)
 
 
 def _least_scales(usual: Mapping[str, float]) -> Floats:
@@ -158,16 +146,17 @@ class LargestGroup(OwnDetector):
 def _shrunk(centred: Floats, most: int) -> tuple[Floats, Floats, float]:
     """Return directions, the variances in them, and the variance in all others."""
     count, columns = centred.shape
-    weight = float(ledoit_wolf_shrinkage(centred, assume_centered=True))
-    try:
-        _, singular, directions = np.linalg.svd(centred, full_matrices=False)
-    except np.linalg.LinAlgError:  # rare, of columns that depend on others
-        _, singular, directions = svd(centred, full_matrices=False, lapack_driver="gesvd")
-    variances = singular**2 / count
+    is_tall = count >= columns
+    variances, vectors = eigh((centred.T @ centred if is_tall else centred @ centred.T) / count)
+    variances, vectors = np.maximum(variances[::-1], 0.0), vectors[:, ::-1]
+    trace = float(variances.sum())
+    weight = shrinkage(centred, trace, float(variances @ variances))
     kept = min(max(most, LEAST_DIRECTIONS), count - 1, columns)
-    base = weight * float(variances.sum()) / columns
-    others = columns - kept
+    base, others = weight * trace / columns, columns - kept
     beside = (1.0 - weight) * float(variances[kept:].sum()) / others if others else 0.0
     noise = max(base + beside, _LEAST_NOISE)
-    components = directions[:kept].astype(np.float32).astype(np.float64)  # as a card stores them
+    directions = vectors[:, :kept] if is_tall else centred.T @ vectors[:, :kept]
+    lengths = np.linalg.norm(directions, axis=0)
+    directions = directions / np.where(lengths > 0.0, lengths, 1.0)
+    components = directions.T.astype(np.float32).astype(np.float64)  # as a card stores them
     return components, np.maximum((1.0 - weight) * variances[:kept] + base, noise), noise

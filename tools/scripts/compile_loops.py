@@ -10,6 +10,8 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from oracle_pipeline.bags.run_directory import RunDirectory
+from oracle_pipeline.clustering.scaling import FlooredRobustScaler
+from oracle_pipeline.datasets import feature_columns
 from oracle_pipeline.features import build_manager, extract
 from oracle_pipeline.opened_run import open_run
 from sim.campaigns import Campaign
@@ -35,9 +37,10 @@ def simulate() -> None:
 
 
 def measure() -> None:
-    """Extract the features of the short recording."""
+    """Extract the features of the short recording, and scale them."""
     with open_run(SHORT) as run:
-        extract(run, build_manager(None))
+        features = extract(run, build_manager(None)).run
+    FlooredRobustScaler().fit_transform(features[feature_columns(features)])
 
 
 if __name__ == "__main__":

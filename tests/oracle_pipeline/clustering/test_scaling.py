@@ -1,7 +1,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from sklearn.base import clone
@@ -71,6 +71,17 @@ def test_missing_values_become_the_median_and_are_indicated():
     assert scaler.indicated_ == ["gappy"]
     assert X[:, 1][[0, 3]].tolist() == [0.0, 0.0]
     assert X[:, 2].tolist() == [1.0, 0.0, 0.0, 1.0]
+
+
+@given(hnp.arrays(np.float64, st.integers(1, 40), elements=values))
+def test_centre_and_scale_are_median_and_mad_of_the_finite_values(column):
+    finite = column[np.isfinite(column)]
+    assume(len(finite))
+    scaler = FlooredRobustScaler().fit(frame(x=column))
+    mad = 1.4826 * np.median(np.abs(finite - np.median(finite)))
+    assert scaler.center_ == pytest.approx([np.median(finite)], rel=1e-12)
+    expected = max(mad, 0.1 * np.std(finite), 1e-9 * np.abs(finite).max())
+    assert scaler.scale_ == pytest.approx([expected or 1.0], rel=1e-9)
 
 
 def test_a_fitted_scaler_applies_to_other_runs():

@@ -3,8 +3,12 @@
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sklearn.covariance import ledoit_wolf, ledoit_wolf_shrinkage
 
 from oracle_pipeline.detectors import LargestGroup, SignalScaler
+from oracle_pipeline.detectors.base import shrinkage
 from oracle_pipeline.features.engine.spans import Span
 from oracle_pipeline.features.signals.collector import Signals
 from oracle_pipeline.features.signals.statistics import SignalTable
@@ -33,14 +37,31 @@ def test_more_recordings_show_more_of_what_belongs_together(directions, stands_o
     assert (distances[200] > distances[:200].max()) is np.bool_(stands_out)
 
 
-def test_columns_on_which_the_faster_driver_fails_are_learned_by_another(monkeypatch):
-    def fails(*_, **__):
-        raise np.linalg.LinAlgError("SVD did not converge")
+def rows_of(rows, columns, rank, seed):
+    """Return centred rows, in so many independent directions at most."""
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(rows, rank)) @ rng.normal(size=(rank, columns))
+    return X - X.mean(axis=0)
 
-    rows = np.random.default_rng(0).normal(size=(20, 9))
-    expected = LargestGroup().fit(rows).score_samples(rows)
-    monkeypatch.setattr(np.linalg, "svd", fails)
-    np.testing.assert_allclose(LargestGroup().fit(rows).score_samples(rows), expected)
+
+@given(st.integers(2, 40), st.integers(1, 60), st.integers(1, 60), st.integers(0, 99))
+def test_the_share_of_the_target_is_that_of_scikit_learn(rows, columns, rank, seed):
+    X = rows_of(rows, columns, rank, seed)
+    covariance = X.T @ X / rows
+    found = shrinkage(X, np.trace(covariance), (covariance**2).sum())
+    assert found == pytest.approx(ledoit_wolf_shrinkage(X, assume_centered=True), abs=1e-9)
+
+
+@given(st.integers(3, 40), st.integers(1, 12), st.integers(1, 12), st.integers(0, 99))
+def test_of_few_columns_the_whole_covariance_counts(rows, columns, rank, seed):
+    X = rows_of(rows, columns, rank, seed)
+    covariance, share = ledoit_wolf(X, assume_centered=True)
+    variances, directions = np.linalg.eigh(covariance)
+    least = max(0.05, share * np.trace(X.T @ X / rows) / columns)
+    squared = ((X @ directions) ** 2 / np.maximum(variances, least)).sum(axis=1)
+    expected = np.sqrt(squared) / max(np.median(np.sqrt(squared)), 1.0)
+    found = -LargestGroup().fit(X).score_samples(X)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4)
 
 
 def test_scale_is_not_that_of_the_unchanging_majority():
