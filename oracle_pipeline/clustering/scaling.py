@@ -78,11 +78,10 @@ class FlooredRobustScaler(TransformerMixin, BaseEstimator):  # type: ignore[misc
     def transform(self, X: pd.DataFrame) -> NDArray[np.float64]:
         """Return the scaled features, shape (n_runs, len(kept_) + len(indicated_)), without NaN."""
         values = _columns(X if list(X.columns) == self.kept_ else X[self.kept_])
-        indicated = np.isin(self.kept_, self.indicated_)
         kept = len(self.kept_)
         scaled = np.empty((kept + len(self.indicated_), len(X)))
         _scale(values, self.center_, self.scale_, self._limits(), scaled)
-        scaled[kept:] = ~np.isfinite(values[indicated])
+        scaled[kept:] = ~np.isfinite(values[np.isin(self.kept_, self.indicated_)])
         return scaled.T
 
     def _limits(self) -> NDArray[np.float64]:
