@@ -122,7 +122,5 @@ def _scale(
 ) -> None:
     """Write the scaled rows of `values` into the first rows of `out`; 0 where they are missing."""
     for row in range(len(values)):
-        for place in range(len(values[row])):
-            value = values[row, place]
-            scaled = (value - center[row]) / scale[row] if np.isfinite(value) else 0.0
-            out[row, place] = min(max(scaled, -limit[row]), limit[row])
+        scaled = np.clip((values[row] - center[row]) / scale[row], -limit[row], limit[row])
+        out[row] = np.where(np.isfinite(values[row]) & ~np.isnan(scaled), scaled, 0.0)

@@ -26,6 +26,7 @@ OF_PERIODS = {  # the same, of the time between messages
     "change": ("mean", 1.0),
 }  # fmt: skip
 OF_SEQUENCE_OF_PERIODS = 10.0  # least scale of statistics without a unit
+_ROUNDING = 1e-12  # of all variance; one direction with less has none
 _LEAST_NOISE = 0.05  # variance in any other direction; rows are z-scores
 _LEAST_TYPICAL = 1.0  # distance that a group without variance is compared with
 
@@ -156,7 +157,7 @@ def _shrunk(centred: Floats, most: int) -> tuple[Floats, Floats, float]:
     beside = (1.0 - weight) * float(variances[kept:].sum()) / others if others else 0.0
     noise = max(base + beside, _LEAST_NOISE)
     directions = vectors[:, :kept] if is_tall else centred.T @ vectors[:, :kept]
-    lengths = np.linalg.norm(directions, axis=0)
-    directions = directions / np.where(lengths > 0.0, lengths, 1.0)
-    components = directions.T.astype(np.float32).astype(np.float64)  # as a card stores them
+    is_real = variances[:kept] > _ROUNDING * trace  # others point anywhere, and have no variance
+    lengths = np.where(is_real, np.linalg.norm(directions, axis=0), np.inf)
+    components = (directions / lengths).T.astype(np.float32).astype(np.float64)  # as in a card
     return components, np.maximum((1.0 - weight) * variances[:kept] + base, noise), noise

@@ -84,6 +84,13 @@ def test_centre_and_scale_are_median_and_mad_of_the_finite_values(column):
     assert scaler.scale_ == pytest.approx([expected or 1.0], rel=1e-9)
 
 
+def test_numbers_as_large_as_there_are_scale_to_bounded_ones():
+    scaler = FlooredRobustScaler().fit(frame(x=[-1e308, 1e308, 1e308, -1e308], y=[1, 2, 3, 4]))
+    X = scaler.transform(frame(x=[1.7e308, -1.7e308, np.inf, 0.0], y=[np.nan, 2.5, -np.inf, 1e308]))
+    assert np.abs(X).max() <= CLIP
+    assert X[2].tolist() == [0.0, 0.0]
+
+
 def test_a_fitted_scaler_applies_to_other_runs():
     scaler = clone(FlooredRobustScaler({"x": 0.5})).fit(frame(x=[1, 2, 3]))
     assert scaler.transform(frame(x=[2])).tolist() == [[0.0]]

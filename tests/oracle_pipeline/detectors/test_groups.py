@@ -52,15 +52,26 @@ def test_the_share_of_the_target_is_that_of_scikit_learn(rows, columns, rank, se
     assert found == pytest.approx(ledoit_wolf_shrinkage(X, assume_centered=True), abs=1e-9)
 
 
+@given(st.integers(2, 40), st.integers(1, 60), st.integers(1, 60), st.integers(0, 99))
+def test_directions_are_at_right_angles_also_if_columns_depend_on_others(rows, columns, rank, seed):
+    detector = LargestGroup().fit(100.0 * rows_of(rows, columns, rank, seed))
+    (directions,) = detector.components_
+    products = directions @ directions.T
+    lengths = np.diag(products)
+    assert np.all((np.abs(lengths - 1.0) < 1e-5) | (lengths == 0.0))
+    assert np.abs(products - np.diag(lengths)).max() < 1e-5
+
+
 @given(st.integers(3, 40), st.integers(1, 12), st.integers(1, 12), st.integers(0, 99))
 def test_of_few_columns_the_whole_covariance_counts(rows, columns, rank, seed):
     X = rows_of(rows, columns, rank, seed)
     covariance, share = ledoit_wolf(X, assume_centered=True)
     variances, directions = np.linalg.eigh(covariance)
     least = max(0.05, share * np.trace(X.T @ X / rows) / columns)
-    squared = ((X @ directions) ** 2 / np.maximum(variances, least)).sum(axis=1)
-    expected = np.sqrt(squared) / max(np.median(np.sqrt(squared)), 1.0)
-    found = -LargestGroup().fit(X).score_samples(X)
+    everywhere = np.vstack([X, np.random.default_rng(seed).normal(size=(9, columns))])
+    squared = ((everywhere @ directions) ** 2 / np.maximum(variances, least)).sum(axis=1)
+    expected = np.sqrt(squared) / max(np.median(np.sqrt(squared[:rows])), 1.0)
+    found = -LargestGroup().fit(X).score_samples(everywhere)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4)
 
 
