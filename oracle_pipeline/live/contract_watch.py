@@ -127,13 +127,13 @@ class _RobotWatch:
         self, now_s: float, seen: _Seen, graph: frozenset[str], arrivals: Mapping[str, "_Arrivals"]
     ) -> Iterator[Breach]:
         """Yield the breaches to report."""
-        first_s = {own: arrivals[n].first_s for own, (n, _) in seen.items() if n in arrivals}
-        if self._steady <= first_s.keys():
-            last_s = max((first_s[name] for name in self._steady), default=0.0)
+        came = {own: arrivals[name] for own, (name, _) in seen.items() if name in arrivals}
+        if self._steady <= came.keys():
+            last_s = max((came[own].first_s for own in self._steady), default=0.0)
             self.started_s = min(self.started_s, last_s)
-        found = self._contract.breaches(self._observed(now_s, seen, graph), rates=False)
-        if now_s >= min(self.started_s, STARTUP_S):
-            found += self._of_messages(now_s, seen, arrivals)
+        came = came if now_s >= min(self.started_s, STARTUP_S) else {}
+        found = self._contract.breaches(self._observed(now_s, seen, graph, came), rates=False)
+        found += self._of_pace(now_s, came)
         found = _without_consequences(found)
         self._lasting = {each.name: self._lasting.get(each.name, 0) + 1 for each in found}
         for each in found:
@@ -145,7 +145,9 @@ class _RobotWatch:
         is_news = now_s - self._reported_s.get(name, -math.inf) >= REPEAT_S
         return is_news and self._lasting[name] >= CONSECUTIVE
 
-    def _observed(self, now_s: float, seen: _Seen, graph: frozenset[str]) -> Observation:
+    def _observed(
+        self, now_s: float, seen: _Seen, graph: frozenset[str], came: Mapping[str, "_Arrivals"]
+    ) -> Observation:
         """Return what exists now; while the robot starts, together with what has yet to start."""
         contract = self._contract
         self._topics |= seen.keys()
@@ -159,21 +161,17 @@ class _RobotWatch:
             graph |= contract.always - self._graph
             to_come = contract.topics.keys() - self._topics
             topics |= {name: (contract.topics[name].types[0], (), None) for name in to_come}
-        return Observation(topics, graph)
+        repeats = {own: {MESSAGES: max(of.repeats)} for own, of in came.items()}
+        return Observation(topics, graph, repeats=repeats)
 
-    def _of_messages(
-        self, now_s: float, seen: _Seen, arrivals: Mapping[str, "_Arrivals"]
-    ) -> Iterator[Breach]:
-        """Yield breaches of rates and repeats of the topics that have a publisher."""
-        for own, (name, _) in seen.items():
-            if (arrived := arrivals.get(name)) is None:
-                continue
+    def _of_pace(self, now_s: float, came: Mapping[str, "_Arrivals"]) -> Iterator[Breach]:
+        """Yield breaches of rate of the topics that have a publisher."""
+        for own, arrived in came.items():
             breach = self._contract.breach_of_silence(own, now_s - arrived.last_s)
             if breach is None and arrived.is_full:
                 breach = self._contract.breach_of_count(own, sum(arrived.counts))
             if breach is not None:
                 yield breach
-            yield from self._contract.breaches_of_repeats(own, {MESSAGES: max(arrived.repeats)})
 
 
 class _Arrivals:

@@ -316,7 +316,7 @@ class Contract:
                 if kind in terms.types and name in seen.constants:
                     found += self._of_constants(name, seen.constants[name])
                 found += self._of_relay(name, seen) if seen.whole else []
-                found += self.breaches_of_repeats(name, seen.repeats.get(name, {}))
+                found += self._of_repeats(name, seen.repeats.get(name, {}))
         for at_s, back_s in seen.set_back if self.steady_clock else ():
             when = f"The recorder's clock was set back by {back_s:.3g} s at {at_s:.2f} s"
             found.append(Breach("clock", f"{when}; in no normal recording it was.", "clock"))
@@ -380,8 +380,7 @@ class Contract:
                 breach = Breach(name, text, "copies")
                 yield _noted(breach, _FILTERED) if share <= RARE else breach
 
-    def breaches_of_repeats(self, name: str, seen: Mapping[str, int]) -> Iterable[Breach]:
-        """Yield a breach if a topic repeats itself more than usual: number -> length."""
+    def _of_repeats(self, name: str, seen: Mapping[str, int]) -> Iterable[Breach]:
         usual = self.repeats.get(name, {})
         again = [
             number
